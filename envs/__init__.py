@@ -1,0 +1,1 @@
+"""Environments, simulated and recorded: where targets and measurements come from."""

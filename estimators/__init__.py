@@ -1,0 +1,1 @@
+"""Estimators: motions, sensors, filters and the bank that runs them together."""

@@ -1,0 +1,544 @@
+"""The estimator every recipe makes: whole tracks at once, one measurement at a time, forecasts, smoothing."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from jink.estimators.bank import Bank
+from jink.estimators.cycle import (
+    LOCATED,
+    PRIOR,
+    RUNNING,
+    History,
+    Inputs,
+    Outputs,
+    State,
+    advance,
+    begin_tracks,
+)
+from jink.estimators.forecasting import forecast_states
+from jink.estimators.inputs import Prior, check_inputs
+from jink.estimators.program import Program
+from jink.estimators.smoothers import smooth_tracks
+from jink.estimators.starting import StartBatch, start_batch
+from jink.estimators.status import MISSING, STARTING
+
+__all__ = ["BankEstimator", "Estimates"]
+
+Floats = NDArray[np.float64]
+_PARALLEL_ROWS = 4000
+_SMOOTHER_BYTES = 2e8
+
+
+class Estimates(NamedTuple):
+    """What every estimator reports.
+
+    Leading axes are (B, T); from a single `BankEstimator.step` there are none. ``covariance`` is that of position
+    then velocity (2A, 2A); ``nis`` is 0 with ``nis_dof`` 0 where nothing was measured; ``status`` counts trouble:
+    OK 0, REPAIRED 1, MISSING 2, DIVERGED 3, STARTING 4.
+    """
+
+    times: Floats
+    position: Floats
+    velocity: Floats
+    covariance: Floats
+    mode_probs: Floats
+    log_likelihood: Floats
+    nis: Floats
+    nis_dof: NDArray[np.int64]
+    status: NDArray[np.int8]
+
+
+class BankEstimator:
+    """An estimator made of a `Bank`.
+
+    Args:
+        bank: modes, sensor, chain, interaction.
+        name: shown in tables.
+        threads: processor cores for many tracks; None: all.
+
+    Raises:
+        ValueError: from `Bank` and from the inputs of each method, one sentence each.
+    """
+
+    def __init__(self, bank: Bank, name: str = "bank", threads: int | None = None) -> None:
+        self.bank = bank
+        self.name = name
+        self.threads = threads or os.cpu_count() or 1
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """Names of the modes, in the order of ``mode_probs``."""
+        return tuple(mode.name for mode in self.bank.modes)
+
+    @cached_property
+    def _program(self) -> Program:
+        return self.bank.program()
+
+    def run(
+        self,
+        measurements: ArrayLike,
+        times: ArrayLike,
+        noise: ArrayLike | None = None,
+        sensor_states: ArrayLike | None = None,
+        lengths: ArrayLike | None = None,
+        *,
+        prior: Prior | None = None,
+        mode_transition: ArrayLike | None = None,
+        progress: Callable[[int], None] | None = None,
+    ) -> Estimates:
+        """Track everything: filtered estimates of B tracks.
+
+        Args:
+            measurements: (T, D) or (B, T, D); NaN where a component is missing.
+            times: (T,) or (B, T); s; may be irregular, must not decrease.
+            noise: R, (D, D), (T, D, D) or (B, T, D, D); None: the sensor's.
+            sensor_states: sensor position and velocity, (2A,), (T, 2A) or (B, T, 2A); None: at the origin.
+            lengths: rows per track (B,); later rows are padding.
+            prior: explicit prior; None: start from the first measurement(s).
+            mode_transition: Markov matrix per step, (M, M), (T, M, M) or (B, T, M, M); row t leads to row t.
+            progress: called with the number of rows just finished.
+
+        Returns:
+            `Estimates` with leading (B, T). Rows before the start are STARTING, padding is MISSING.
+
+        Raises:
+            ValueError: a shape or a value does not fit.
+        """
+        inputs = check_inputs(
+            self.bank, measurements, times, noise, sensor_states, lengths, mode_transition, caller="run"
+        )
+        _, outputs, _ = self._filter(inputs, prior, False, progress)
+        return self._estimates(inputs, outputs)
+
+    def smooth(
+        self,
+        measurements: ArrayLike,
+        times: ArrayLike,
+        noise: ArrayLike | None = None,
+        sensor_states: ArrayLike | None = None,
+        lengths: ArrayLike | None = None,
+        *,
+        prior: Prior | None = None,
+        mode_transition: ArrayLike | None = None,
+        progress: Callable[[int], None] | None = None,
+    ) -> Estimates:
+        """Smoothed estimates: every row uses the whole track. Arguments, shapes and errors as `run`."""
+        inputs = check_inputs(
+            self.bank, measurements, times, noise, sensor_states, lengths, mode_transition, caller="smooth"
+        )
+        tracks, rows = inputs.measurements.shape[:2]
+        states = self._program.angular.shape[1]
+        chunk = max(1, int(_SMOOTHER_BYTES / (8.0 * max(rows, 1) * len(self.modes) * states * (states + 1))))
+        parts = []
+        for begin in range(0, tracks, chunk):
+            part = _tracks(inputs, begin, min(begin + chunk, tracks))
+            _, outputs, history = self._filter(part, _prior_part(prior), True, progress)
+            self._parallel(
+                lambda low, high, part=part, outputs=outputs, history=history: smooth_tracks(  # type: ignore[misc]
+                    self._program, history, outputs, part, low, high
+                ),
+                part.measurements.shape[0],
+                rows,
+                None,
+            )
+            parts.append(self._estimates(part, outputs))
+        return Estimates(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+    def start(
+        self,
+        measurements: ArrayLike,
+        times: ArrayLike,
+        noise: ArrayLike | None = None,
+        sensor_states: ArrayLike | None = None,
+        *,
+        prior: Prior | None = None,
+    ) -> State:
+        """Begin one track from its first measurement(s), or from an explicit prior alone.
+
+        Args:
+            measurements: (D,) or (T, D): as many first rows as the sensor needs to locate the target.
+            times: scalar or (T,); s.
+            noise, sensor_states, prior: as in `run`.
+
+        Returns:
+            A `State` to hand to `step`. All rows given are used.
+
+        Raises:
+            ValueError: the rows do not locate the target (then give more rows, a prior, or an area).
+        """
+        z = np.atleast_2d(np.asarray(measurements, dtype=np.float64))
+        inputs = check_inputs(
+            self.bank, z, np.atleast_1d(np.asarray(times, dtype=np.float64)), noise, sensor_states, caller="start"
+        )
+        state, _, _ = self._filter(inputs, prior, False, None, must_start=True)
+        return state
+
+    def step(
+        self,
+        state: State,
+        measurement: ArrayLike,
+        time: float,
+        noise: ArrayLike | None = None,
+        sensor_state: ArrayLike | None = None,
+    ) -> tuple[State, Estimates]:
+        """One more measurement; the same numbers, bit for bit, as `run` over the same rows.
+
+        Args:
+            state: from `start` or the last `step`; left unchanged.
+            measurement: (D,); NaN where a component is missing.
+            time: s; a time before the state's own is treated as equal to it and reported as REPAIRED.
+            noise: R (D, D); None: the sensor's.
+            sensor_state: sensor position and velocity (2A,); None: at the origin.
+
+        Returns:
+            The next state, and `Estimates` without leading axes.
+
+        Raises:
+            ValueError: a shape does not fit.
+        """
+        z = np.array(measurement, dtype=np.float64)
+        size, kin = self.bank.sensor.size, 2 * self.bank.sensor.axes
+        R = self._noise if noise is None else np.array(noise, dtype=np.float64)
+        sensor = self._still if sensor_state is None else np.array(sensor_state, dtype=np.float64)
+        if z.shape != (size,) or R.shape[-2:] != (size, size) or sensor.shape[-1:] != (kin,):
+            raise ValueError(
+                f"step: measurement must have shape ({size},), noise ({size}, {size}), sensor_state ({kin},); got "
+                f"{z.shape}, {R.shape}, {sensor.shape}. One row at a time."
+            )
+        following = State(*(field.copy() for field in state))
+        outputs = _outputs(1, 1, kin, len(self.bank.modes))
+        inputs = Inputs(
+            np.array([[time]], dtype=np.float64),
+            z.reshape(1, 1, size),
+            R.reshape(1, 1, size, size),
+            sensor.reshape(1, 1, kin),
+            self._no_chains,
+            _ZERO,
+            _ONE,
+        )
+        advance(self._program, following, inputs, outputs, self._no_history, 0, 1)
+        axes = kin // 2
+        mean = outputs.kin_mean[0, 0]
+        return following, Estimates(
+            inputs.times[0, 0],
+            mean[:axes],
+            mean[axes:],
+            outputs.kin_cov[0, 0],
+            outputs.mode_probs[0, 0],
+            outputs.log_likelihood[0, 0],
+            outputs.nis[0, 0],
+            outputs.nis_dof[0, 0],
+            outputs.status[0, 0],
+        )
+
+    def forecast(
+        self, state: State, horizon: float, *, weights: str = "W1", steps: int = 1
+    ) -> tuple[Floats, Floats]:
+        """Position ``horizon`` seconds ahead.
+
+        Args:
+            state: from `start`, `step` (or many tracks at once).
+            horizon: s; >= 0.
+            weights: ``"W1"``: the intent persists; ``"W2"``: mode probabilities of the chain at the horizon.
+            steps: number of equal predictions the horizon is cut into (the unscented points are redrawn at each).
+
+        Returns:
+            Mean (A,) in m and covariance (A, A) in m^2; with a leading B for a state of B > 1 tracks.
+
+        Raises:
+            ValueError: a negative or infinite horizon, an unknown weighting, fewer than one step.
+        """
+        if not (horizon >= 0 and np.isfinite(horizon)):
+            raise ValueError(f"forecast: horizon must be >= 0 s and finite; got {horizon}. Give seconds ahead.")
+        if weights not in ("W1", "W2"):
+            raise ValueError(f"forecast: weights must be W1 (persist) or W2 (chain); got {weights!r}. Use W1.")
+        if steps < 1:
+            raise ValueError(f"forecast: steps must be >= 1; got {steps}. Use 1.")
+        tracks, kin = state.kin_mean.shape
+        mean, cov = np.zeros((tracks, kin)), np.zeros((tracks, kin, kin))
+        forecast_states(
+            self._program, state, horizon / steps, int(steps), weights == "W2", self.bank.sensor.size, mean, cov
+        )
+        axes = kin // 2
+        if tracks == 1:
+            return mean[0, :axes], cov[0, :axes, :axes]
+        return mean[:, :axes], cov[:, :axes, :axes]
+
+    def forecast_run(
+        self,
+        measurements: ArrayLike,
+        times: ArrayLike,
+        horizon: float,
+        noise: ArrayLike | None = None,
+        sensor_states: ArrayLike | None = None,
+        lengths: ArrayLike | None = None,
+        *,
+        prior: Prior | None = None,
+        weights: str = "W1",
+        steps: int = 1,
+    ) -> tuple[Floats, Floats]:
+        """At every row, position ``horizon`` seconds ahead: mean (B, T, A), covariance (B, T, A, A).
+
+        Arguments and errors as `run` and `forecast`.
+        """
+        inputs = check_inputs(self.bank, measurements, times, noise, sensor_states, lengths, caller="forecast_run")
+        state, outputs, history = self._filter(inputs, prior, True, None)
+        tracks, rows = outputs.status.shape
+        many = tracks * rows
+
+        def flat(array: Floats) -> Floats:
+            return np.ascontiguousarray(array.reshape(many, *array.shape[2:]))
+
+        states = state._replace(
+            mean=flat(history.mean),
+            cov=flat(history.cov),
+            mode_probs=flat(outputs.mode_probs),
+            kin_mean=flat(outputs.kin_mean),
+            kin_cov=flat(outputs.kin_cov),
+            time=np.zeros(many),
+        )
+        mean, cov = self.forecast(states, horizon, weights=weights, steps=steps)
+        axes = self.bank.sensor.axes
+        return mean.reshape(tracks, rows, axes), cov.reshape(tracks, rows, axes, axes)
+
+    @cached_property
+    def _noise(self) -> Floats:
+        return self.bank.sensor.noise
+
+    @cached_property
+    def _still(self) -> Floats:
+        return np.zeros(2 * self.bank.sensor.axes)
+
+    @cached_property
+    def _no_chains(self) -> Floats:
+        return np.zeros((0, 0, len(self.modes), len(self.modes)))
+
+    @cached_property
+    def _no_history(self) -> History:
+        return self._history(1, 0)
+
+    def _history(self, tracks: int, rows: int) -> History:
+        modes, states = len(self.modes), self._program.angular.shape[1]
+        return History(np.zeros((tracks, rows, modes, states)), np.zeros((tracks, rows, modes, states, states)))
+
+    def _filter(
+        self,
+        inputs: Inputs,
+        prior: Prior | None,
+        keep: bool,
+        progress: Callable[[int], None] | None,
+        must_start: bool = False,
+    ) -> tuple[State, Outputs, History]:
+        tracks, rows = inputs.measurements.shape[:2]
+        kin, modes = 2 * self.bank.sensor.axes, len(self.modes)
+        state = self._blank(tracks)
+        started: StartBatch | None = None
+        if prior is None:
+            started = self._locate(inputs)
+            if must_start and not started.ok.all():
+                raise ValueError(
+                    f"start: measurements must locate the target; {rows} row(s) of {self.bank.sensor.name} do not. "
+                    "Give more rows, a prior, or an area in the bank."
+                )
+            inputs.first[:] = started.index
+            used = started.seen > 0
+            state.time[:] = np.take_along_axis(
+                np.broadcast_to(inputs.times, (tracks, rows)), np.minimum(inputs.first, rows - 1)[:, None], axis=1
+            )[:, 0]
+            state.phase[:] = np.where(used, LOCATED, PRIOR)
+            begin_tracks(
+                self._program,
+                np.concatenate([started.position, started.velocity], axis=1),
+                np.ascontiguousarray(started.covariance),
+                state,
+            )
+        else:
+            self._take_prior(prior, state, inputs)
+        outputs = _outputs(tracks, rows, kin, modes)
+        history = self._history(tracks, rows if keep else 0)
+        self._parallel(
+            lambda low, high: advance(self._program, state, inputs, outputs, history, low, high),
+            tracks,
+            rows,
+            progress,
+        )
+        _fill_outside(inputs, outputs, history, self.bank.start_probs)
+        return state, outputs, history
+
+    def _blank(self, tracks: int) -> State:
+        modes, states, kin = len(self.modes), self._program.angular.shape[1], 2 * self.bank.sensor.axes
+        return State(
+            mean=np.zeros((tracks, modes, states)),
+            cov=np.zeros((tracks, modes, states, states)),
+            mode_probs=np.tile(self.bank.start_probs, (tracks, 1)),
+            kin_mean=np.zeros((tracks, kin)),
+            kin_cov=np.zeros((tracks, kin, kin)),
+            nis_average=np.ones((tracks, modes + 1)),
+            time=np.zeros(tracks),
+            phase=np.full(tracks, RUNNING, dtype=np.int64),
+        )
+
+    def _locate(self, inputs: Inputs) -> StartBatch:
+        tracks, rows = inputs.measurements.shape[:2]
+        z = np.where((np.arange(rows) < inputs.lengths[:, None])[..., None], inputs.measurements, np.nan)
+        sensors = None if not inputs.sensors.any() else inputs.sensors
+        return start_batch(
+            self.bank.sensor,
+            z,
+            np.broadcast_to(inputs.times, (tracks, rows)),
+            inputs.noise,
+            sensors if sensors is None else np.broadcast_to(sensors, (tracks, rows, sensors.shape[2])),
+            self.bank.speed,
+            self.bank.area,
+        )
+
+    def _take_prior(self, prior: Prior, state: State, inputs: Inputs) -> None:
+        kin = state.kin_mean.shape[1]
+        tracks = len(state.time)
+        if isinstance(prior.mean, list) and len(prior.mean) == len(self.modes) and np.ndim(prior.mean[0]) == 1:
+            if not isinstance(prior.cov, list) or len(prior.cov) != len(self.modes):
+                raise ValueError("Prior: cov must be a list with one matrix per mode, as mean is. Give both alike.")
+            for j, mode in enumerate(self.bank.modes):
+                n = mode.motion.size
+                mean, cov = np.asarray(prior.mean[j], dtype=np.float64), np.asarray(prior.cov[j], dtype=np.float64)
+                if mean.shape != (n,) or cov.shape != (n, n):
+                    raise ValueError(
+                        f"Prior: mode {mode.name} must have mean ({n},) and cov ({n}, {n}); got {mean.shape} and "
+                        f"{cov.shape}. Components are {', '.join(mode.motion.labels)}."
+                    )
+                state.mean[:, j, :n] = mean
+                state.cov[:, j, :n, :n] = cov
+            first = self.forecast(state, 0.0)  # checks the numbers once, outside the time loop
+            if not np.all(np.isfinite(first[0])):
+                raise ValueError("Prior: mean and cov must be finite; got NaN or inf. Check the prior.")
+        else:
+            mean = np.asarray(prior.mean, dtype=np.float64)
+            cov = np.asarray(prior.cov, dtype=np.float64)
+            if mean.shape not in ((kin,), (tracks, kin)) or cov.shape not in ((kin, kin), (tracks, kin, kin)):
+                raise ValueError(
+                    f"Prior: mean must be position and velocity ({kin},) with cov ({kin}, {kin}), or one of each per "
+                    f"mode; got {mean.shape} and {cov.shape}. Add zero velocities with a large variance."
+                )
+            begin_tracks(
+                self._program,
+                np.ascontiguousarray(np.broadcast_to(mean, (tracks, kin))),
+                np.ascontiguousarray(np.broadcast_to(cov, (tracks, kin, kin))),
+                state,
+            )
+        if prior.mode_probs is not None:
+            state.mode_probs[:] = np.asarray(prior.mode_probs, dtype=np.float64)
+        state.time[:] = inputs.times[:, 0] if prior.time is None else prior.time
+        state.phase[:] = LOCATED if prior.includes_first else PRIOR
+
+    def _parallel(
+        self,
+        work: Callable[[int, int], object],
+        tracks: int,
+        rows: int,
+        progress: Callable[[int], None] | None,
+    ) -> None:
+        """``work(begin, end)`` over chunks of tracks; kernels release the GIL, so threads are enough."""
+        threads = min(self.threads, tracks)
+        if tracks == 0:
+            return
+        pieces = threads if progress is None else max(threads, min(tracks, 50))
+        bounds = np.linspace(0, tracks, pieces + 1).astype(int)
+        ranges = [(int(low), int(high)) for low, high in zip(bounds[:-1], bounds[1:], strict=True) if high > low]
+        if threads <= 1 or tracks * rows < _PARALLEL_ROWS:
+            for low, high in ranges:
+                work(low, high)
+                if progress is not None:
+                    progress((high - low) * rows)
+            return
+        work(*ranges[0])  # compiled once, before the threads meet
+        if progress is not None:
+            progress((ranges[0][1] - ranges[0][0]) * rows)
+        with ThreadPoolExecutor(threads) as pool:
+            for (low, high), _ in zip(ranges[1:], pool.map(lambda span: work(*span), ranges[1:]), strict=True):
+                if progress is not None:
+                    progress((high - low) * rows)
+
+    def _estimates(self, inputs: Inputs, outputs: Outputs) -> Estimates:
+        axes = self.bank.sensor.axes
+        return Estimates(
+            np.array(np.broadcast_to(inputs.times, outputs.status.shape)),
+            outputs.kin_mean[..., :axes],
+            outputs.kin_mean[..., axes:],
+            outputs.kin_cov,
+            outputs.mode_probs,
+            outputs.log_likelihood,
+            outputs.nis,
+            outputs.nis_dof,
+            outputs.status,
+        )
+
+
+_ZERO, _ONE = np.zeros(1, dtype=np.int64), np.ones(1, dtype=np.int64)
+
+
+def _outputs(tracks: int, rows: int, kin: int, modes: int) -> Outputs:
+    return Outputs(
+        kin_mean=np.zeros((tracks, rows, kin)),
+        kin_cov=np.zeros((tracks, rows, kin, kin)),
+        mode_probs=np.zeros((tracks, rows, modes)),
+        log_likelihood=np.zeros((tracks, rows)),
+        nis=np.zeros((tracks, rows)),
+        nis_dof=np.zeros((tracks, rows), dtype=np.int64),
+        status=np.zeros((tracks, rows), dtype=np.int8),
+    )
+
+
+def _tracks(inputs: Inputs, begin: int, end: int) -> Inputs:
+    def cut(array: NDArray[np.float64]) -> NDArray[np.float64]:
+        return array if array.shape[0] <= 1 else np.ascontiguousarray(array[begin:end])
+
+    return Inputs(
+        cut(inputs.times),
+        np.ascontiguousarray(inputs.measurements[begin:end]),
+        cut(inputs.noise),
+        cut(inputs.sensors),
+        cut(inputs.chains),
+        inputs.first[begin:end].copy(),
+        inputs.lengths[begin:end].copy(),
+    )
+
+
+def _prior_part(prior: Prior | None) -> Prior | None:
+    return prior
+
+
+def _fill_outside(inputs: Inputs, outputs: Outputs, history: History, probs: Floats) -> None:
+    """Rows before the start hold the start carried back at its velocity; padding repeats the last row."""
+    rows = outputs.status.shape[1]
+    half = outputs.kin_mean.shape[2] // 2
+    for b in range(len(inputs.first)):
+        first, length = int(inputs.first[b]), int(inputs.lengths[b])
+        times = inputs.times[min(b, inputs.times.shape[0] - 1)]
+        if first >= length:
+            outputs.status[b] = MISSING
+            outputs.mode_probs[b] = probs
+            continue
+        if first > 0:
+            back = np.eye(2 * half)
+            for t in range(first):
+                back[range(half), range(half, 2 * half)] = times[t] - times[first]
+                outputs.kin_mean[b, t] = back @ outputs.kin_mean[b, first]
+                outputs.kin_cov[b, t] = back @ outputs.kin_cov[b, first] @ back.T
+            outputs.mode_probs[b, :first] = outputs.mode_probs[b, first]
+            outputs.status[b, :first] = STARTING
+            if history.mean.shape[1]:
+                history.mean[b, :first] = history.mean[b, first]
+                history.cov[b, :first] = history.cov[b, first]
+        if length < rows:
+            for array in (outputs.kin_mean, outputs.kin_cov, outputs.mode_probs, *history):
+                if array.shape[1]:
+                    array[b, length:] = array[b, length - 1]
+            outputs.status[b, length:] = MISSING

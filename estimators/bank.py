@@ -1,0 +1,145 @@
+"""A bank of modes: motions, a Markov chain between them, and an interaction rule. Every recipe is one of these."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from jink.estimators.markov import MarkovChain
+from jink.estimators.motion import Motion
+from jink.estimators.program import INTERACTIONS, Program, make_program
+from jink.estimators.sensor import Sensor
+
+__all__ = ["Bank", "Mode"]
+
+_RESET_QUANTILE = 0.999
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One hypothesis about how the target moves.
+
+    Args:
+        name: shown in tables and plots.
+        motion: how it moves.
+    """
+
+    name: str
+    motion: Motion
+
+
+@dataclass(frozen=True)
+class Bank:
+    """Everything an interacting-multiple-model estimator needs to know.
+
+    Args:
+        modes: one or more; all with the sensor's number of axes.
+        sensor: what is measured.
+        chain: how the mode changes; None for a single mode.
+        initial_probs: mode probabilities at the start; (M,); None: the chain's long-run ones.
+        interaction: ``mix`` (equal labels mix, missing ones are filled from the receiving mode), ``birth``
+            (position and velocity carry over, own parameters are drawn from their birth prior), ``jet`` (as far as
+            position, velocity, acceleration determine them), ``none`` (separate filters), ``reset`` (separate, a
+            lost one begins again from the best).
+        speed: standard deviation of velocity components before anything is known; m/s.
+        area: where targets appear, centre (A,) and standard deviation in m; only for sensors that do not locate.
+        alpha, beta, kappa: unscented transform.
+        min_prob: floor of mode probabilities, so that no mode dies for ever.
+        reset_prob: ``reset`` begins a mode again below this probability.
+        reset_nis: or when its running mean of NIS per component exceeds this; None: the 99.9 % chi-square bound.
+        every_sigma_point: use sigma points also where a matrix gives the same numbers (for comparisons).
+
+    Raises:
+        ValueError: parts that do not fit; the sentence names them.
+
+    Source: Blom & Bar-Shalom (1988); CN202211553542 claims 1-6 (own state per mode). Differs: births, see DESIGN.
+    """
+
+    modes: tuple[Mode, ...]
+    sensor: Sensor
+    chain: MarkovChain | None = None
+    initial_probs: tuple[float, ...] | None = None
+    interaction: str = "mix"
+    speed: float = 10.0
+    area: tuple[tuple[float, ...], float] | None = None
+    alpha: float = 1.0
+    beta: float = 2.0
+    kappa: float = 0.0
+    min_prob: float = 1e-6
+    reset_prob: float = 1e-3
+    reset_nis: float | None = None
+    every_sigma_point: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.modes:
+            raise ValueError("Bank: modes must hold at least one Mode; got none. Pass modes=(Mode(name, motion), ...).")
+        names = [mode.name for mode in self.modes]
+        if len(set(names)) != len(names):
+            raise ValueError(f"Bank: modes must have distinct names; got {names}. Rename one.")
+        for mode in self.modes:
+            if mode.motion.axes != self.sensor.axes:
+                raise ValueError(
+                    f"Bank: modes must have the sensor's {self.sensor.axes} axes; {mode.name} has "
+                    f"{mode.motion.axes}. Make the motion with axes={self.sensor.axes}."
+                )
+        if self.chain is None and len(self.modes) > 1:
+            raise ValueError("Bank: chain must be given for several modes. Use MarkovChain.from_sojourns([...]).")
+        if self.chain is not None and self.chain.modes != len(self.modes):
+            raise ValueError(
+                f"Bank: chain must have one row per mode, {len(self.modes)}; got {self.chain.modes}. "
+                "Add or remove rows."
+            )
+        if self.interaction not in INTERACTIONS:
+            raise ValueError(
+                f"Bank: interaction must be one of {', '.join(INTERACTIONS)}; got {self.interaction!r}. Pick one."
+            )
+        if self.initial_probs is not None:
+            probs = np.asarray(self.initial_probs, dtype=np.float64)
+            if probs.shape != (len(self.modes),) or not np.all(probs >= 0) or abs(probs.sum() - 1) > 1e-9:
+                raise ValueError(
+                    f"Bank: initial_probs must be {len(self.modes)} probabilities that sum to 1; got "
+                    f"{self.initial_probs}. Divide by the sum."
+                )
+        for name, low in (("speed", 0.0), ("alpha", 0.0)):
+            value = getattr(self, name)
+            if not (value > low and np.isfinite(value)):
+                raise ValueError(f"Bank: {name} must be > {low:g} and finite; got {value}. Give a positive number.")
+        largest = max(mode.motion.size for mode in self.modes)
+        if not largest + self.kappa > 0:
+            raise ValueError(f"Bank: kappa must be > -n = {-largest}; got {self.kappa}. Use 0.")
+        if not 0 <= self.min_prob < 1.0 / len(self.modes):
+            raise ValueError(
+                f"Bank: min_prob must be in [0, 1/M = {1 / len(self.modes):.3g}); got {self.min_prob}. Use 1e-6."
+            )
+
+    @property
+    def start_probs(self) -> NDArray[np.float64]:
+        """Mode probabilities at the start; (M,)."""
+        if self.initial_probs is not None:
+            return np.array(self.initial_probs, dtype=np.float64)
+        return np.ones(1) if self.chain is None else self.chain.stationary()
+
+    def program(self) -> Program:
+        """The bank as tables for the compiled cycle (compiles what it needs)."""
+        chain = self.chain or MarkovChain(matrix=((1.0,),))
+        size = self.sensor.size
+        bound = self.reset_nis if self.reset_nis is not None else float(chi2.ppf(_RESET_QUANTILE, size)) / size
+        return make_program(
+            tuple(mode.motion for mode in self.modes),
+            self.sensor,
+            rule=INTERACTIONS[self.interaction],
+            per_step=chain.matrix is not None,
+            chain=np.array(chain.matrix if chain.matrix is not None else chain.generator, dtype=np.float64),
+            tuning=(self.alpha, self.beta, self.kappa),
+            min_prob=self.min_prob,
+            reset_prob=self.reset_prob,
+            reset_nis=bound,
+            every_sigma_point=self.every_sigma_point,
+        )
+
+    def with_(self, **changes: object) -> Bank:
+        """A copy with some fields changed."""
+        return replace(self, **changes)  # type: ignore[arg-type]

@@ -1,0 +1,413 @@
+"""One step of the bank for one track, and the only loop over time and tracks."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import types
+from numpy.typing import NDArray
+
+from jink.estimators.compiled import entry_kernel, inner_kernel
+from jink.estimators.interaction import birth, convert, interact, own_prior
+from jink.estimators.kalman import gaussian_update
+from jink.estimators.linalg import cholesky, copy_matrix, copy_vector, total
+from jink.estimators.markov import transition_matrix
+from jink.estimators.modes import measure_mode, mode_kinematics, predict_mode
+from jink.estimators.pieces import MATRIX, PROGRAM, STACK, VECTOR, WORK, piece
+from jink.estimators.program import RESET, make_work
+from jink.estimators.reference import by_reference
+from jink.estimators.status import DIVERGED, MISSING, OK, REPAIRED, STARTING
+
+__all__ = ["DIVERGED", "MISSING", "OK", "REPAIRED", "STARTING", "History", "Inputs", "Outputs", "State", "advance"]
+
+
+PRIOR, RUNNING, LOCATED = range(3)
+
+_ABSURD = 1e30
+_LOST_NIS = 25.0
+_MEMORY = 0.2
+_FLOOR = 1e-14
+
+Floats = NDArray[np.float64]
+
+
+class State(NamedTuple):
+    """Everything a bank knows about B tracks between two steps (a value: steps return a new one).
+
+    ``kin_mean``, ``kin_cov`` are the fused position and velocity; ``time`` is the last time seen; ``phase`` is
+    `PRIOR` before the first update of a given prior, `LOCATED` right after a start from measurements, else `RUNNING`.
+    """
+
+    mean: Floats  # (B, M, N)
+    cov: Floats  # (B, M, N, N)
+    mode_probs: Floats  # (B, M)
+    kin_mean: Floats  # (B, 2A)
+    kin_cov: Floats  # (B, 2A, 2A)
+    nis_average: Floats  # (B, M + 1) running mean of NIS per component: each mode, then the bank
+    time: Floats  # (B,)
+    phase: NDArray[np.int64]  # (B,)
+
+
+class Inputs(NamedTuple):
+    """Measurements of B tracks; axes of length 1 are shared by all tracks or times; size 0 means absent."""
+
+    times: Floats  # (1 or B, T)
+    measurements: Floats  # (B, T, D)
+    noise: Floats  # (1 or B, 1 or T, D, D)
+    sensors: Floats  # (1 or B, 1 or T, 2A)
+    chains: Floats  # (0, 0, M, M) or (1 or B, 1 or T, M, M): mode transition of each step
+    first: NDArray[np.int64]  # (B,) first row to process
+    lengths: NDArray[np.int64]  # (B,) one past the last
+
+
+class Outputs(NamedTuple):
+    """What every estimator reports, per track and time."""
+
+    kin_mean: Floats  # (B, T, 2A)
+    kin_cov: Floats  # (B, T, 2A, 2A)
+    mode_probs: Floats  # (B, T, M)
+    log_likelihood: Floats  # (B, T)
+    nis: Floats  # (B, T)
+    nis_dof: NDArray[np.int64]  # (B, T)
+    status: NDArray[np.int8]  # (B, T)
+
+
+class History(NamedTuple):
+    """Filtered mode states of every step, for the smoothers; time axis of length 0 when not wanted."""
+
+    mean: Floats  # (B, T, M, N)
+    cov: Floats  # (B, T, M, N, N)
+
+
+@inner_kernel
+def _step_chain(program, work, inputs, b, t, dt):
+    """Mode transition matrix of this step into ``work.chain``."""
+    modes = program.sizes.size
+    if inputs.chains.size > 0:
+        row = inputs.chains[b if inputs.chains.shape[0] > 1 else 0, t if inputs.chains.shape[1] > 1 else 0]
+        copy_matrix(row, work.chain, modes)
+    elif program.per_step:
+        copy_matrix(program.chain, work.chain, modes)
+    elif work.cached_dt[modes] != dt:
+        transition_matrix(program.chain, dt, modes, work.chain_scratch, work.chain)
+        work.cached_dt[modes] = dt
+
+
+@inner_kernel
+def _present(program, work, z, R):
+    """How many components can be used, and whether any was refused; fills ``work.present``, ``work.R``."""
+    d = 0
+    clean = True
+    for i in range(z.size):
+        usable = np.isfinite(z[i]) and abs(z[i]) < _ABSURD
+        variance = R[i, i]
+        sound = np.isfinite(variance) and variance > 0.0
+        if usable and sound:
+            work.present[d] = i
+            d += 1
+        if not np.isnan(z[i]) and not (usable and sound):
+            clean = False
+    for a in range(d):
+        for b in range(d):
+            entry = R[work.present[a], work.present[b]]
+            if not np.isfinite(entry):
+                entry = 0.0
+                clean = False
+            work.R[a, b] = entry
+    return d, clean
+
+
+@inner_kernel
+def _sound(m, P, n, P_before):
+    """Whether numbers are usable (0 no, 1 yes after repair, 2 yes); a variance lost to rounding gets a floor."""
+    result = 2
+    size = 0.0
+    for i in range(n):
+        size += abs(m[i]) + abs(P[i, i])
+    if not size < _ABSURD * _ABSURD or not np.isfinite(total(P, n)):
+        return 0
+    for i in range(n):
+        if P[i, i] < 0.0 or (P[i, i] == 0.0 and P_before[i, i] > 0.0):
+            for k in range(n):
+                P[i, k] = 0.0
+                P[k, i] = 0.0
+            P[i, i] = max(_FLOOR * abs(P_before[i, i]), 0.0)
+            result = 1
+    return result
+
+
+@inner_kernel
+def _widen(kin_cov):
+    """Ten times the standard deviations, within what numbers bear."""
+    for a in range(kin_cov.shape[0]):
+        for b in range(kin_cov.shape[0]):
+            if kin_cov[a, a] < _ABSURD and kin_cov[b, b] < _ABSURD:
+                kin_cov[a, b] *= 100.0
+
+
+@inner_kernel
+def _bank_nis(work, modes, d):
+    """Innovation of the whole bank squared over its covariance: moments of the mixture of predicted measurements."""
+    for a in range(d):
+        total = 0.0
+        for j in range(modes):
+            total += work.prior[j] * work.innovation[j, a]
+        work.sensed[a] = total
+    for a in range(d):
+        for b in range(d):
+            total = 0.0
+            for j in range(modes):
+                weight = work.prior[j]
+                da = work.innovation[j, a] - work.sensed[a]
+                db = work.innovation[j, b] - work.sensed[b]
+                total += weight * (work.S_modes[j, a, b] + da * db)
+            work.S[a, b] = total
+    if not cholesky(work.S, d, work.factor):
+        return 0.0, False
+    nis = 0.0
+    for a in range(d):
+        value = work.sensed[a]
+        for k in range(a):
+            value -= work.factor[k, a] * work.whitened[k, 0]
+        if not work.factor[a, a] > 0.0:
+            return 0.0, False
+        work.whitened[a, 0] = value / work.factor[a, a]
+        nis += work.whitened[a, 0] * work.whitened[a, 0]
+    return nis, np.isfinite(nis)
+
+
+@inner_kernel
+def _mode_posterior(program, work, modes, probs):
+    """Mode probabilities ``prior_j exp(log_density_j) / sum``, floored; returns the log likelihood of the bank.
+
+    The largest log density is taken out first, so nothing under- or overflows. A mode with zero prior stays at zero.
+    """
+    top = -np.inf
+    for j in range(modes):
+        if work.prior[j] > 0.0:
+            top = max(top, work.log_density[j])
+    if not abs(top) < np.inf:
+        copy_vector(work.prior, probs)
+        return top
+    mass = 0.0
+    for j in range(modes):
+        probs[j] = work.prior[j] * np.exp(work.log_density[j] - top) if work.prior[j] > 0.0 else 0.0
+        mass += probs[j]
+    log_likelihood = top + np.log(mass)
+    floored = 0.0
+    for j in range(modes):
+        probs[j] /= mass
+        if probs[j] < program.min_prob and work.prior[j] > 0.0:
+            probs[j] = program.min_prob
+        floored += probs[j]
+    for j in range(modes):
+        probs[j] /= floored
+    return log_likelihood
+
+
+@piece(types.boolean, PROGRAM, WORK, MATRIX, STACK, VECTOR, VECTOR, MATRIX)
+def fuse(program, work, mean, cov, probs, kin_mean, kin_cov):
+    """Moments of the bank's position and velocity; returns whether all went well."""
+    modes = program.sizes.size
+    kin = kin_mean.size
+    good = True
+    for a in range(kin):
+        kin_mean[a] = 0.0
+        for b in range(kin):
+            kin_cov[a, b] = 0.0
+    for j in range(modes):
+        good = mode_kinematics(program, work, j, mean[j], cov[j], work.kin_modes[j], work.kin_covs[j]) and good
+        for a in range(kin):
+            kin_mean[a] += probs[j] * work.kin_modes[j, a]
+    for j in range(modes):
+        for a in range(kin):
+            da = work.kin_modes[j, a] - kin_mean[a]
+            for b in range(kin):
+                db = work.kin_modes[j, b] - kin_mean[b]
+                kin_cov[a, b] += probs[j] * (work.kin_covs[j, a, b] + da * db)
+    return good
+
+
+@piece(types.boolean, PROGRAM, WORK, MATRIX, STACK, VECTOR, VECTOR)
+def _restart_poor_modes(program, work, mean, cov, probs, nis_average):
+    """Rule ``reset``: a mode that lost is begun again from the best one (EQUATIONS 1.6, I1)."""
+    modes = probs.size
+    best = 0
+    for j in range(modes):
+        if probs[j] > probs[best]:
+            best = j
+    good = True
+    for p in range(modes):
+        if p != best and (probs[p] < program.reset_prob or nis_average[p] > program.reset_nis):
+            own_prior(program, p, mean[p], cov[p], True, work.own_mean, work.own_cov)
+            good = (
+                convert(
+                    program, work, p, best, mean[best], cov[best], work.own_mean, work.own_cov, mean[best],
+                    work.part_mean[p], work.part_cov[p],
+                )
+                and good
+            )  # fmt: skip
+            for i in range(program.sizes[p]):
+                mean[p, i] = work.part_mean[p, i]
+                for k in range(cov.shape[2]):
+                    cov[p, i, k] = work.part_cov[p, i, k]
+            nis_average[p] = 1.0
+    return good
+
+
+@inner_kernel
+def step(program, work, state, inputs, outputs, b, t):
+    """Interaction, prediction, update, probabilities and fusion for track ``b`` at row ``t``.
+
+    Source: Blom & Bar-Shalom (1988), EQUATIONS 0.3. Differs: logs, unlike states, partial and missing measurements
+    (which leave probabilities at their prediction), and a status instead of an exception.
+    """
+    modes = program.sizes.size
+    mean, cov, probs = state.mean[b], state.cov[b], state.mode_probs[b]
+    good = True
+    now = inputs.times[b if inputs.times.shape[0] > 1 else 0, t]
+    dt = now - state.time[b]
+    if not (dt >= 0.0 and dt < _ABSURD):
+        dt = 0.0
+        good = False
+    else:
+        state.time[b] = now
+    if state.phase[b] == RUNNING:
+        _step_chain(program, work, inputs, b, t, dt)
+        good = interact(program, work, mean, cov, probs) and good
+    else:
+        for j in range(modes):
+            work.prior[j] = probs[j]
+            for i in range(program.sizes[j]):
+                work.mixed_mean[j, i] = mean[j, i]
+            copy_matrix(cov[j], work.mixed_cov[j], program.sizes[j])
+        state.phase[b] = RUNNING
+    z = inputs.measurements[b, t]
+    R = inputs.noise[b if inputs.noise.shape[0] > 1 else 0, t if inputs.noise.shape[1] > 1 else 0]
+    sensor = inputs.sensors[b if inputs.sensors.shape[0] > 1 else 0, t if inputs.sensors.shape[1] > 1 else 0]
+    d, clean = _present(program, work, z, R)
+    good = good and clean
+    lost = False
+    for j in range(modes):
+        m, P = work.predicted_mean[j], work.predicted_cov[j]
+        n = program.sizes[j]
+        good = predict_mode(program, work, j, work.mixed_mean[j], work.mixed_cov[j], dt, m, P) and good
+        sound = _sound(m, P, n, work.mixed_cov[j])
+        if sound == 0:
+            lost = True
+            _widen(state.kin_cov[b])
+            birth(program, work, j, state.kin_mean[b], state.kin_cov[b], m, P)
+        work.log_density[j] = 0.0
+        if d > 0:
+            linear, fine = measure_mode(program, work, j, m, P, sensor, z, d)
+            for a in range(d):
+                for c in range(d):
+                    work.S_modes[j, a, c] = work.S[a, c]
+            density, nis, definite = gaussian_update(
+                m, P, work.H, linear, work.R, work.cross, work.S, work.innovation[j], d, n,
+                work.factor, work.gain, work.whitened, mean[j], cov[j],
+            )  # fmt: skip
+            work.log_density[j] = density
+            sound = _sound(mean[j], cov[j], n, P)
+            good = good and fine and definite and sound == 2
+            if sound == 0:
+                lost = True
+                _widen(state.kin_cov[b])
+                birth(program, work, j, state.kin_mean[b], state.kin_cov[b], mean[j], cov[j])
+                work.log_density[j] = -np.inf
+            elif np.isfinite(nis):
+                state.nis_average[b, j] += _MEMORY * (nis / d - state.nis_average[b, j])
+        else:
+            good = good and sound == 2
+            for i in range(n):
+                mean[j, i] = m[i]
+            copy_matrix(P, cov[j], n)
+    status = OK
+    if d > 0:
+        nis, fine = _bank_nis(work, modes, d)
+        log_likelihood = _mode_posterior(program, work, modes, probs)
+        if not np.isfinite(log_likelihood):
+            log_likelihood = -_ABSURD
+            good = False
+        if fine:
+            state.nis_average[b, modes] += _MEMORY * (min(nis, _ABSURD) / d - state.nis_average[b, modes])
+        else:
+            nis = 0.0
+            good = False
+        outputs.log_likelihood[b, t] = log_likelihood
+        outputs.nis[b, t] = nis
+        outputs.nis_dof[b, t] = d
+        if program.rule == RESET:
+            good = _restart_poor_modes(program, work, mean, cov, probs, state.nis_average[b]) and good
+    else:
+        copy_vector(work.prior, probs)
+        outputs.log_likelihood[b, t] = 0.0
+        outputs.nis[b, t] = 0.0
+        outputs.nis_dof[b, t] = 0
+        status = MISSING
+    good = fuse(program, work, mean, cov, probs, state.kin_mean[b], state.kin_cov[b]) and good
+    if not good:
+        status = REPAIRED
+    if lost or state.nis_average[b, modes] > _LOST_NIS:
+        status = DIVERGED
+    outputs.status[b, t] = status
+
+
+@inner_kernel
+def _write(state, outputs, history, b, t):
+    copy_vector(state.kin_mean[b], outputs.kin_mean[b, t])
+    copy_matrix(state.kin_cov[b], outputs.kin_cov[b, t], state.kin_cov.shape[1])
+    copy_vector(state.mode_probs[b], outputs.mode_probs[b, t])
+    if history.mean.shape[1] > 0:
+        copy_matrix(state.mean[b], history.mean[b, t], state.mean.shape[1])
+        for j in range(state.mean.shape[1]):
+            copy_matrix(state.cov[b, j], history.cov[b, t, j], state.mean.shape[2])
+
+
+@inner_kernel
+def _run_tracks(program, work, state, inputs, outputs, history, begin, end):
+    for b in range(begin, end):
+        for j in range(work.cached_dt.size):
+            work.cached_dt[j] = np.nan
+        for t in range(inputs.first[b], inputs.lengths[b]):
+            if state.phase[b] == LOCATED:
+                fuse(program, work, state.mean[b], state.cov[b], state.mode_probs[b], state.kin_mean[b], state.kin_cov[b])
+                outputs.status[b, t] = STARTING
+                state.phase[b] = RUNNING
+            else:
+                step(program, work, state, inputs, outputs, b, t)
+            _write(state, outputs, history, b, t)
+
+
+@inner_kernel
+def _begin_tracks(program, work, kin_mean, kin_cov, state):
+    for b in range(state.mean.shape[0]):
+        for j in range(program.sizes.size):
+            birth(program, work, j, kin_mean[b], kin_cov[b], state.mean[b, j], state.cov[b, j])
+        fuse(program, work, state.mean[b], state.cov[b], state.mode_probs[b], state.kin_mean[b], state.kin_cov[b])
+
+
+@entry_kernel
+def advance(program, state, inputs, outputs, history, begin, end):
+    """Run tracks ``begin`` to ``end`` through all their rows, writing into ``state``, ``outputs`` and ``history``."""
+    own = program.birth_mean.shape[1]
+    work = make_work(
+        state.mean.shape[1], state.mean.shape[2], own, inputs.measurements.shape[2], state.kin_mean.shape[1]
+    )
+    _run_tracks(
+        by_reference(program), by_reference(work), by_reference(state), by_reference(inputs), by_reference(outputs),
+        by_reference(history), begin, end,
+    )  # fmt: skip
+    return work.F.size + program.sizes.size + state.time.size  # used here, so that none is freed earlier
+
+
+@entry_kernel
+def begin_tracks(program, kin_mean, kin_cov, state):
+    """Begin every mode of every track at its position and velocity: a start is a birth of all intents."""
+    own = program.birth_mean.shape[1]
+    work = make_work(
+        state.mean.shape[1], state.mean.shape[2], own, program.sensor_angular.size, state.kin_mean.shape[1]
+    )
+    _begin_tracks(by_reference(program), by_reference(work), kin_mean, kin_cov, by_reference(state))
+    return work.F.size + program.sizes.size + state.time.size  # used here, so that none is freed earlier

@@ -1,0 +1,192 @@
+"""What the bank does with one mode: kinematics, process noise, prediction, and measurement of a prediction."""
+
+from __future__ import annotations
+
+from numba import types
+
+from jink.estimators.compiled import call_kinematics, call_noise, call_observe, call_transition, inner_kernel
+from jink.estimators.kalman import predict_linear
+from jink.estimators.linalg import cholesky, wrap_angle
+from jink.estimators.pieces import MATRIX, PROGRAM, VECTOR, WORK, piece
+from jink.estimators.unscented import draw_points, point_weights, points_mean, unscented_predict
+
+__all__ = ["kinematics_of", "measure_mode", "mode_kinematics", "predict_mode"]
+
+_NODES = (0.1127016653792583, 0.5, 0.8872983346207417)
+_NODE_WEIGHTS = (0.2777777777777778, 0.4444444444444444, 0.2777777777777778)
+
+
+@inner_kernel
+def kinematics_of(program, j, x, out):
+    """Position and velocity (2A,) of a state of mode ``j``."""
+    if program.kin_index[j, 0] >= 0:
+        for i in range(out.size):
+            out[i] = x[program.kin_index[j, i]]
+    else:
+        call_kinematics(program.kinematics[j], x[: program.sizes[j]], program.params[j], out)
+
+
+@inner_kernel
+def process_noise(program, work, j, x, dt, Q):
+    """Process noise of mode ``j`` over ``dt`` from state ``x`` into ``Q`` (n, n).
+
+    Without a closed form: ``Q = int_0^dt Phi(s) diag(diffusion) Phi(s)' ds`` by three-point Gauss-Legendre (exact
+    for polynomial flows up to constant acceleration), columns of ``Phi`` by central differences.
+    """
+    n = program.sizes[j]
+    for i in range(n):
+        for k in range(Q.shape[1]):
+            Q[i, k] = 0.0
+    if program.noise[j] != 0:
+        call_noise(program.noise[j], x[:n], dt, program.params[j], Q[:n, :n])
+        return
+    for c in range(n):
+        density = program.diffusion[j, c]
+        if density > 0.0:
+            step = 1e-5 * (1.0 + abs(x[c]))
+            for node in range(3):
+                duration = dt * _NODES[node]
+                for i in range(n):
+                    work.points[0, i] = x[i]
+                work.points[0, c] = x[c] + step
+                call_transition(program.transition[j], work.points[0, :n], duration, program.params[j], work.moved[0, :n])
+                work.points[0, c] = x[c] - step
+                call_transition(program.transition[j], work.points[0, :n], duration, program.params[j], work.moved[1, :n])
+                scale = dt * _NODE_WEIGHTS[node] * density / (4.0 * step * step)
+                for i in range(n):
+                    slope = work.moved[0, i] - work.moved[1, i]
+                    for k in range(n):
+                        Q[i, k] += scale * slope * (work.moved[0, k] - work.moved[1, k])
+
+
+@inner_kernel
+def transition_tables(program, work, j, x, dt):
+    """F, F' and Q of a linear mode for this ``dt``, computed only when ``dt`` changed."""
+    if work.cached_dt[j] == dt:
+        return
+    n = program.sizes[j]
+    for c in range(n):
+        for i in range(n):
+            work.points[0, i] = 0.0
+        work.points[0, c] = 1.0
+        call_transition(program.transition[j], work.points[0, :n], dt, program.params[j], work.moved[0, :n])
+        for i in range(n):
+            work.F[j, i, c] = work.moved[0, i]
+            work.F_transposed[j, c, i] = work.moved[0, i]
+    process_noise(program, work, j, x, dt, work.Q[j])
+    work.cached_dt[j] = dt
+
+
+@piece(types.boolean, PROGRAM, WORK, types.int64, VECTOR, MATRIX, types.float64, VECTOR, MATRIX)
+def predict_mode(program, work, j, m, P, dt, m_out, P_out):
+    """Prediction of mode ``j`` over ``dt`` seconds; returns whether P was positive semidefinite.
+
+    A linear motion costs what a Kalman filter costs: for it the unscented transform is exact and equals ``F m``,
+    ``F P F' + Q``.
+    """
+    n = program.sizes[j]
+    if program.linear[j]:
+        transition_tables(program, work, j, m, dt)
+        predict_linear(m, P, work.F[j], work.F_transposed[j], work.Q[j], n, work.product, m_out, P_out)
+        return True
+    process_noise(program, work, j, m, dt, work.Q[j])
+    return unscented_predict(
+        program.transition[j], program.params[j], dt, m, P, work.Q[j], n, program.tuning,
+        work.upper, work.points, work.moved, work.scaled, m_out, P_out,
+    )  # fmt: skip
+
+
+@piece(types.UniTuple(types.boolean, 2), PROGRAM, WORK, types.int64, VECTOR, MATRIX, VECTOR, VECTOR, types.int64)
+def measure_mode(program, work, j, m, P, sensor, z, d):
+    """Innovation, its covariance and the cross covariance of mode ``j`` with the ``d`` components present.
+
+    Fills ``work.innovation[j]``, ``work.S``, ``work.cross``, ``work.H``; returns (linear, good). Points are redrawn
+    from the prediction, so Q is seen. Angles are averaged about the centre point and wrapped.
+    """
+    n = program.sizes[j]
+    present = work.present
+    if program.sensor_linear and program.kin_index[j, 0] >= 0:
+        kin = work.kin.size
+        for a in range(d):
+            for c in range(P.shape[1]):
+                work.H[a, c] = 0.0
+                work.cross[a, c] = 0.0
+            predicted = 0.0
+            for i in range(kin):
+                entry = program.sensor_matrix[present[a], i]
+                if entry != 0.0:
+                    index = program.kin_index[j, i]
+                    work.H[a, index] = entry
+                    predicted += entry * m[index]
+                    for c in range(P.shape[1]):
+                        work.cross[a, c] += entry * P[index, c]
+            v = z[present[a]] - predicted
+            work.innovation[j, a] = wrap_angle(v) if program.sensor_angular[present[a]] else v
+        for a in range(d):
+            for b in range(d):
+                total = work.R[a, b]
+                for i in range(kin):
+                    entry = program.sensor_matrix[present[b], i]
+                    if entry != 0.0:
+                        total += entry * work.cross[a, program.kin_index[j, i]]
+                work.S[a, b] = total
+        return True, True
+    good = cholesky(P, n, work.upper)
+    radius, centre, other = point_weights(n, program.tuning[0], program.tuning[1], program.tuning[2])
+    draw_points(m, work.upper, n, radius, work.points)
+    count = 2 * n + 1
+    for s in range(count):
+        kinematics_of(program, j, work.points[s], work.kin)
+        call_observe(program.observe, work.kin, sensor, program.sensor_params, work.sensed)
+        for a in range(d):
+            value = work.sensed[present[a]]
+            if s > 0 and program.sensor_angular[present[a]]:
+                value = work.seen[0, a] + wrap_angle(value - work.seen[0, a])
+            work.seen[s, a] = value
+    points_mean(work.seen, count, d, other, work.vector)
+    for a in range(d):
+        v = z[present[a]] - work.vector[a]
+        work.innovation[j, a] = wrap_angle(v) if program.sensor_angular[present[a]] else v
+        for c in range(P.shape[1]):
+            work.cross[a, c] = 0.0
+        for b in range(d):
+            work.S[a, b] = work.R[a, b]
+    for s in range(count):
+        weight = centre if s == 0 else other
+        for a in range(d):
+            scaled = weight * work.seen[s, a]
+            for b in range(d):
+                work.S[a, b] += scaled * work.seen[s, b]
+            for c in range(n):
+                work.cross[a, c] += scaled * (work.points[s, c] - m[c])
+    return False, good
+
+
+@piece(types.boolean, PROGRAM, WORK, types.int64, VECTOR, MATRIX, VECTOR, MATRIX)
+def mode_kinematics(program, work, j, m, P, mean_out, cov_out):
+    """Mean (2A,) and covariance (2A, 2A) of position and velocity of mode ``j`` (unscented where nonlinear)."""
+    kin = mean_out.size
+    if program.kin_index[j, 0] >= 0:
+        for a in range(kin):
+            mean_out[a] = m[program.kin_index[j, a]]
+            for b in range(kin):
+                cov_out[a, b] = P[program.kin_index[j, a], program.kin_index[j, b]]
+        return True
+    n = program.sizes[j]
+    good = cholesky(P, n, work.upper)
+    radius, centre, other = point_weights(n, program.tuning[0], program.tuning[1], program.tuning[2])
+    draw_points(m, work.upper, n, radius, work.points)
+    count = 2 * n + 1
+    for s in range(count):
+        kinematics_of(program, j, work.points[s], work.kin)
+        for a in range(kin):
+            work.moved[s, a] = work.kin[a]
+    points_mean(work.moved, count, kin, other, work.vector)
+    for a in range(kin):
+        mean_out[a] = work.vector[a]
+        for b in range(kin):
+            total = 0.0
+            for s in range(count):
+                total += (centre if s == 0 else other) * work.moved[s, a] * work.moved[s, b]
+            cov_out[a, b] = total
+    return good

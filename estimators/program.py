@@ -1,0 +1,314 @@
+"""A bank as plain arrays: what the compiled cycle reads (`Program`) and what it writes on the way (`Work`)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import typeof
+from numpy.typing import NDArray
+
+from jink.estimators.compiled import entry_kernel
+from jink.estimators.motion import Motion
+from jink.estimators.pieces import piece_addresses
+from jink.estimators.sensor import Sensor
+
+__all__ = ["BIRTH", "INTERACTIONS", "JET", "MIX", "NONE", "RESET", "Program", "Work", "make_program", "make_work"]
+
+NONE, MIX, BIRTH, JET, RESET = range(5)
+INTERACTIONS = {"none": NONE, "mix": MIX, "birth": BIRTH, "jet": JET, "reset": RESET}
+_ORDER = {"": 0, "v": 1, "a": 2}
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class Program(NamedTuple):
+    """Tables of a bank of M modes with at most N state components (padded), K own parameters, D measured ones."""
+
+    pieces: Ints  # addresses of separately compiled kernels
+    sizes: Ints  # (M,) state sizes n
+    own_counts: Ints  # (M,) own parameters
+    kin_index: Ints  # (M, 2A) component of each position and velocity; -1: ask kinematics()
+    own_index: Ints  # (M, K) component of each own parameter; -1: none
+    linear: NDArray[np.bool_]  # (M,) transition is a matrix
+    angular: NDArray[np.bool_]  # (M, N) components to wrap
+    diffusion: Floats  # (M, N) white noise where noise() is missing
+    params: Floats  # (M, Pm)
+    birth_mean: Floats  # (M, K)
+    birth_cov: Floats  # (M, K, K)
+    transition: Ints  # (M,) addresses
+    noise: Ints
+    kinematics: Ints
+    assemble: Ints
+    own_from_jet: Ints
+    rule: int  # interaction
+    same_layout: bool  # every mode has the same components: mixing needs no gathering
+    source: Ints  # (to, from, N) component of the old state; -1: filled from own parameters
+    gathered: NDArray[np.bool_]  # (to, from) conversion is a choice of components (no sigma points)
+    drawn: Ints  # (to, from) own parameters that are drawn on conversion
+    use_acceleration: NDArray[np.bool_]  # (to, from) acceleration determines own parameters
+    observe: int  # address
+    sensor_params: Floats  # (Ps,)
+    sensor_linear: bool
+    sensor_matrix: Floats  # (D, 2A) of a linear sensor
+    sensor_angular: NDArray[np.bool_]  # (D,)
+    tuning: Floats  # (3,) alpha, beta, kappa
+    per_step: bool  # chain is one matrix per step
+    chain: Floats  # (M, M) matrix or generator
+    min_prob: float
+    reset_prob: float
+    reset_nis: float
+    every_sigma_point: bool  # never use the linear short cuts
+
+
+class Work(NamedTuple):
+    """Scratch of one track; nothing in it outlives a call except the tables cached by time step."""
+
+    cached_dt: Floats
+    F: Floats
+    F_transposed: Floats
+    Q: Floats
+    weights: Floats
+    mixed_mean: Floats
+    mixed_cov: Floats
+    part_mean: Floats
+    part_cov: Floats
+    predicted_mean: Floats
+    predicted_cov: Floats
+    product: Floats
+    upper: Floats
+    points: Floats
+    moved: Floats
+    scaled: Floats
+    seen: Floats
+    H: Floats
+    R: Floats
+    S: Floats
+    S_modes: Floats
+    innovation: Floats
+    cross: Floats
+    gain: Floats
+    factor: Floats
+    whitened: Floats
+    kin: Floats
+    jet: Floats
+    sensed: Floats
+    present: Ints
+    log_density: Floats
+    prior: Floats
+    nis: Floats
+    chain: Floats
+    chain_scratch: Floats
+    kin_modes: Floats
+    kin_covs: Floats
+    vector: Floats
+    own: Floats
+    own_mean: Floats
+    own_cov: Floats
+    own_factor: Floats
+    joint_square: Floats
+    ahead: Floats
+    behind: Floats
+    no_chains: Floats
+
+
+@entry_kernel
+def make_work(modes, states, own, measured, kin):
+    """Scratch arrays for M modes, N padded states, K own parameters, D measured components, 2A kinematics."""
+    joint = (states + own + 7) // 8 * 8
+    wide = (measured + 7) // 8 * 8
+    few = (own + 7) // 8 * 8
+    seven = (kin + 7) // 8 * 8
+    both = (kin + own + 7) // 8 * 8
+    points = max(2 * joint + 1, modes)
+    cached_dt = np.full(modes + 1, np.nan)
+    return Work(
+        cached_dt,
+        np.zeros((modes, states, states)),
+        np.zeros((modes, states, states)),
+        np.zeros((modes, states, states)),
+        np.zeros(max(modes, 1)),
+        np.zeros((modes, states)),
+        np.zeros((modes, states, states)),
+        np.zeros((modes, states)),
+        np.zeros((modes, states, states)),
+        np.zeros((modes, states)),
+        np.zeros((modes, states, states)),
+        np.zeros((states, states)),
+        np.zeros((joint, joint)),
+        np.zeros((points, joint)),
+        np.zeros((points, joint)),
+        np.zeros((points, joint)),
+        np.zeros((points, wide)),
+        np.zeros((measured, states)),
+        np.zeros((measured, wide)),
+        np.zeros((measured, wide)),
+        np.zeros((modes, measured, wide)),
+        np.zeros((modes, measured)),
+        np.zeros((measured, states)),
+        np.zeros((measured, states)),
+        np.zeros((max(measured, kin), max(wide, seven))),
+        np.zeros((max(measured, kin), 8)),
+        np.zeros(kin),
+        np.zeros(kin + kin // 2),
+        np.zeros(measured),
+        np.zeros(measured, np.int64),
+        np.zeros(modes),
+        np.zeros(modes),
+        np.zeros(modes),
+        np.zeros((modes, modes)),
+        np.zeros((modes, modes)),
+        np.zeros((modes, kin)),
+        np.zeros((modes, kin, kin)),
+        np.zeros(joint),
+        np.zeros(own),
+        np.zeros(own),
+        np.zeros((own, few)),
+        np.zeros((own, few)),
+        np.zeros((kin + own, both)),
+        np.zeros(kin),
+        np.zeros(kin),
+        np.zeros((0, modes, modes)),
+    )
+
+
+def make_program(
+    motions: tuple[Motion, ...],
+    sensor: Sensor,
+    *,
+    rule: int,
+    per_step: bool,
+    chain: Floats,
+    tuning: tuple[float, float, float],
+    min_prob: float,
+    reset_prob: float,
+    reset_nis: float,
+    every_sigma_point: bool,
+) -> Program:
+    """The tables of a bank; every function of its motions is compiled (or loaded from the cache) here.
+
+    Args:
+        motions: one per mode; same ``axes``.
+        sensor: what the bank is measured by; same ``axes``.
+        rule: one of ``INTERACTIONS``.
+        per_step: whether ``chain`` is a matrix per step (else a generator).
+        chain: (M, M).
+        tuning: alpha, beta, kappa of the unscented transform.
+        min_prob: floor of mode probabilities.
+        reset_prob: probability under which `RESET` starts a mode afresh.
+        reset_nis: average of normalised innovation squared above which it does.
+        every_sigma_point: use sigma points even where a matrix would do.
+
+    Returns:
+        The `Program`.
+    """
+    modes = len(motions)
+    kin = 2 * sensor.axes
+    states = (max(motion.size for motion in motions) + 7) // 8 * 8
+    own = max(1, max(len(motion.own_labels) for motion in motions))
+    width = max(1, max(len(motion.params) for motion in motions))
+
+    def table(shape: tuple[int, ...], fill: float = 0.0) -> Floats:
+        return np.full((modes, *shape), fill, dtype=np.float64)
+
+    kin_index = np.full((modes, kin), -1, dtype=np.int64)
+    own_index = np.full((modes, own), -1, dtype=np.int64)
+    angular = np.zeros((modes, states), dtype=np.bool_)
+    diffusion, params = table((states,)), table((width,))
+    birth_mean, birth_cov = table((own,)), table((own, own))
+    for j, motion in enumerate(motions):
+        index = {label: i for i, label in enumerate(motion.labels)}
+        if motion.cartesian:
+            kin_index[j] = [index[label] for label in motion.kinematic_labels]
+        for k, label in enumerate(motion.own_labels):
+            own_index[j, k] = index[label]
+        for label in motion.angular:
+            angular[j, index[label]] = True
+        diffusion[j, : motion.size] = motion.diffusion
+        params[j, : len(motion.params)] = motion.params
+        birth_mean[j, : len(motion.own_labels)] = motion.birth_mean
+        birth_cov[j, range(len(motion.own_labels)), range(len(motion.own_labels))] = np.square(motion.birth_sd)
+    source, gathered, drawn, use_acceleration = _conversions(motions, rule, states)
+    matrix = np.zeros((sensor.size, kin))
+    if sensor.linear:
+        for i in range(kin):
+            out = np.zeros(sensor.size)
+            sensor.observe.function(np.eye(kin)[i], np.zeros(kin), np.array(sensor.params), out)
+            matrix[:, i] = out
+
+    def addresses(name: str) -> Ints:
+        callbacks = [getattr(motion, name) for motion in motions]
+        return np.array([0 if callback is None else callback.address for callback in callbacks], dtype=np.int64)
+
+    fields = dict(
+        pieces=np.zeros(1, dtype=np.int64),
+        sizes=np.array([motion.size for motion in motions], dtype=np.int64),
+        own_counts=np.array([len(motion.own_labels) for motion in motions], dtype=np.int64),
+        kin_index=kin_index,
+        own_index=own_index,
+        linear=np.array([motion.linear and not every_sigma_point for motion in motions], dtype=np.bool_),
+        angular=angular,
+        diffusion=diffusion,
+        params=params,
+        birth_mean=birth_mean,
+        birth_cov=birth_cov,
+        transition=addresses("transition"),
+        noise=addresses("noise"),
+        kinematics=addresses("kinematics"),
+        assemble=addresses("assemble"),
+        own_from_jet=addresses("own_from_jet"),
+        rule=rule,
+        same_layout=rule == MIX and len({motion.labels for motion in motions}) == 1 and not angular.any(),
+        source=source,
+        gathered=gathered,
+        drawn=drawn,
+        use_acceleration=use_acceleration,
+        observe=sensor.observe.address,
+        sensor_params=np.array(sensor.params or (0.0,), dtype=np.float64),
+        sensor_linear=bool(sensor.linear and not every_sigma_point),
+        sensor_matrix=matrix,
+        sensor_angular=np.array(sensor.angular, dtype=np.bool_),
+        tuning=np.array(tuning, dtype=np.float64),
+        per_step=per_step,
+        chain=np.ascontiguousarray(chain, dtype=np.float64),
+        min_prob=float(min_prob),
+        reset_prob=float(reset_prob),
+        reset_nis=float(reset_nis),
+        every_sigma_point=bool(every_sigma_point),
+    )
+    program = Program(**fields)
+    return program._replace(pieces=piece_addresses(typeof(program), typeof(make_work.py_func(1, 8, 1, 1, 2))))
+
+
+def _conversions(
+    motions: tuple[Motion, ...], rule: int, states: int
+) -> tuple[Ints, NDArray[np.bool_], Ints, NDArray[np.bool_]]:
+    """Which component of each other state a component continues, and where components alone do not tell.
+
+    ``mix``: equal labels continue; others are filled from the receiving mode itself (unbiased mixing).
+    ``birth``: position and velocity continue; others are born. ``jet``: as far as both states agree on the jet.
+    """
+    modes = len(motions)
+    source = np.full((modes, modes, states), -1, dtype=np.int64)
+    gathered = np.ones((modes, modes), dtype=np.bool_)
+    drawn = np.zeros((modes, modes), dtype=np.int64)
+    use_acceleration = np.zeros((modes, modes), dtype=np.bool_)
+    for p, to in enumerate(motions):
+        for q, old in enumerate(motions):
+            carried = set(to.kinematic_labels)
+            if p == q or (rule == MIX and to.labels == old.labels):
+                carried = set(to.labels)
+            elif rule == MIX:
+                carried |= set(to.labels) & set(old.labels)
+            elif rule != BIRTH:
+                use_acceleration[p, q] = old.jet_order == 2 and to.own_from_jet is not None
+            alike = p == q or to.labels == old.labels
+            gathered[p, q] = (alike and rule == MIX) or p == q or (to.cartesian and old.cartesian)
+            gathered[p, q] = gathered[p, q] and not (use_acceleration[p, q] and p != q)
+            for i, label in enumerate(to.labels):
+                if label in carried and label in old.labels:
+                    source[p, q, i] = old.labels.index(label)
+            filled = bool((source[p, q, : to.size] < 0).any()) or not gathered[p, q]
+            drawn[p, q] = len(to.own_labels) if filled else 0
+    return source, gathered, drawn, use_acceleration

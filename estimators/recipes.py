@@ -1,0 +1,196 @@
+"""Estimators by name. A recipe turns a sensor and three or four physical scales into a bank.
+
+Scales: ``acceleration`` (typical size of a target's acceleration, m/s^2), ``speed`` (typical speed, m/s),
+``turn_rate`` (typical turn rate, rad/s) and ``sojourn`` (how long an intent lasts, s). Everything else follows.
+To add a recipe: write a function here (or in your own file) and give it one line in ``RECIPES``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from jink.estimators.api import BankEstimator
+from jink.estimators.bank import Bank, Mode
+from jink.estimators.markov import MarkovChain
+from jink.estimators.motions import (
+    constant_acceleration,
+    constant_velocity,
+    coordinated_turn,
+    singer,
+    spatial_turn,
+    swing,
+)
+from jink.estimators.sensor import Sensor
+
+__all__ = ["RECIPES", "Scales", "make_estimator"]
+
+_QUIET = 0.05
+"""A straight leg wobbles with this share of the target's acceleration."""
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Physical scales of a target.
+
+    Args:
+        acceleration: typical acceleration; m/s^2.
+        speed: typical speed; m/s; also the standard deviation of velocity at the start.
+        turn_rate: typical turn rate; rad/s; None: ``acceleration / speed``, at most 1.
+        sojourn: mean time between changes of intent; s.
+
+    Raises:
+        ValueError: a scale is not positive and finite.
+    """
+
+    acceleration: float = 1.0
+    speed: float = 10.0
+    turn_rate: float | None = None
+    sojourn: float = 10.0
+
+    def __post_init__(self) -> None:
+        for name in ("acceleration", "speed", "turn_rate", "sojourn"):
+            value = getattr(self, name)
+            if value is not None and not (value > 0 and math.isfinite(value)):
+                raise ValueError(f"Scales: {name} must be > 0 and finite; got {value}. Give a typical value.")
+
+    @property
+    def turn(self) -> float:
+        """Turn rate used; rad/s."""
+        return self.turn_rate if self.turn_rate is not None else min(self.acceleration / self.speed, 1.0)
+
+
+def _single(name: str, mode: Mode, sensor: Sensor, scales: Scales) -> Bank:
+    return Bank((mode,), sensor, speed=scales.speed)
+
+
+def kf_cv(sensor: Sensor, scales: Scales) -> Bank:
+    """Kalman filter, constant velocity: white acceleration strong enough for the manoeuvres."""
+    density = scales.acceleration**2
+    return _single("kf-cv", Mode("cv", constant_velocity(sensor.axes, acceleration_density=density)), sensor, scales)
+
+
+def kf_ca(sensor: Sensor, scales: Scales) -> Bank:
+    """Kalman filter, constant acceleration: white jerk that turns the acceleration over within a sojourn."""
+    motion = constant_acceleration(
+        sensor.axes,
+        jerk_density=2.0 * scales.acceleration**2 / scales.sojourn,
+        acceleration_sd=scales.acceleration,
+    )
+    return _single("kf-ca", Mode("ca", motion), sensor, scales)
+
+
+def singer_filter(sensor: Sensor, scales: Scales) -> Bank:
+    """Kalman filter, Singer's exponentially correlated acceleration."""
+    motion = singer(sensor.axes, time_constant=scales.sojourn, acceleration_sd=scales.acceleration)
+    return _single("singer", Mode("singer", motion), sensor, scales)
+
+
+def ukf_ct(sensor: Sensor, scales: Scales) -> Bank:
+    """Unscented Kalman filter, coordinated turn with estimated rate (2-D) or rate vector (3-D)."""
+    return _single("ukf-ct", Mode("turn", _turn(sensor.axes, scales, scales.acceleration)), sensor, scales)
+
+
+def imm(sensor: Sensor, scales: Scales) -> Bank:
+    """Interacting multiple models, the textbook's three: constant velocity, constant acceleration, turn; mixing."""
+    axes = sensor.axes
+    modes = [
+        Mode("cv", constant_velocity(axes, acceleration_density=(_QUIET * scales.acceleration) ** 2)),
+        Mode(
+            "ca",
+            constant_acceleration(
+                axes,
+                jerk_density=2.0 * scales.acceleration**2 / scales.sojourn,
+                acceleration_sd=scales.acceleration,
+            ),
+        ),
+    ]
+    if axes > 1:
+        modes.append(Mode("ct", _turn(axes, scales, _QUIET * scales.acceleration)))
+    return _many(modes, sensor, scales, "mix")
+
+
+def intent_imm(sensor: Sensor, scales: Scales) -> Bank:
+    """Intent bank (CN202211553542): straight, turn, accelerate, weave; each its own state; a switch is a birth."""
+    axes = sensor.axes
+    quiet = (_QUIET * scales.acceleration) ** 2
+    modes = [
+        Mode("straight", constant_velocity(axes, acceleration_density=quiet)),
+        Mode(
+            "accelerate",
+            constant_acceleration(
+                axes,
+                jerk_density=2.0 * (2.0 * _QUIET * scales.acceleration) ** 2 / scales.sojourn,
+                acceleration_sd=scales.acceleration,
+            ),
+        ),
+        Mode(
+            "weave",
+            swing(
+                axes,
+                rate=2.0 * math.pi / scales.sojourn,
+                snap_density=0.1 * scales.acceleration**2 * (2.0 * math.pi / scales.sojourn) ** 2 / scales.sojourn,
+                acceleration_sd=scales.acceleration,
+                jerk_sd=scales.acceleration * 2.0 * math.pi / scales.sojourn,
+            ),
+        ),
+    ]
+    if axes > 1:
+        modes.insert(1, Mode("turn", _turn(axes, scales, _QUIET * scales.acceleration)))
+    return _many(modes, sensor, scales, "birth")
+
+
+def _turn(axes: int, scales: Scales, wobble: float):  # type: ignore[no-untyped-def]
+    make = coordinated_turn if axes == 2 else spatial_turn
+    return make(
+        acceleration_density=wobble**2,
+        rate_density=(0.1 * scales.turn) ** 2 / scales.sojourn,
+        rate_sd=scales.turn,
+    )
+
+
+def _many(modes: list[Mode], sensor: Sensor, scales: Scales, interaction: str) -> Bank:
+    chain = MarkovChain.from_sojourns([scales.sojourn] * len(modes))
+    return Bank(tuple(modes), sensor, chain=chain, interaction=interaction, speed=scales.speed)
+
+
+RECIPES: dict[str, Callable[[Sensor, Scales], Bank]] = {
+    "kf-cv": kf_cv,
+    "kf-ca": kf_ca,
+    "singer": singer_filter,
+    "ukf-ct": ukf_ct,
+    "imm": imm,
+    "intent-imm": intent_imm,
+}
+"""Name -> recipe; the first line of each docstring is shown by ``jink list``."""
+
+
+def make_estimator(
+    name: str,
+    sensor: Sensor,
+    *,
+    acceleration: float = 1.0,
+    speed: float = 10.0,
+    turn_rate: float | None = None,
+    sojourn: float = 10.0,
+    threads: int | None = None,
+) -> BankEstimator:
+    """An estimator by name.
+
+    Args:
+        name: one of `RECIPES`.
+        sensor: what is measured; its axes are the estimator's.
+        acceleration, speed, turn_rate, sojourn: see `Scales`.
+        threads: processor cores for many tracks; None: all.
+
+    Returns:
+        A `BankEstimator`.
+
+    Raises:
+        ValueError: an unknown name, or a scale that is not positive.
+    """
+    if name not in RECIPES:
+        raise ValueError(f"make_estimator: name must be one of {', '.join(RECIPES)}; got {name!r}. See `jink list`.")
+    scales = Scales(acceleration=acceleration, speed=speed, turn_rate=turn_rate, sojourn=sojourn)
+    return BankEstimator(RECIPES[name](sensor, scales), name=name, threads=threads)

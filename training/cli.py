@@ -1,0 +1,217 @@
+"""The `jink` command."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from jink.training.console import run_command, screen
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="jink",
+    help="Track targets that change their mind, and compare those who do it.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+
+_TRACK_HELP = """Estimate the tracks of a CSV or Parquet file.
+
+Columns are recognised by name; noise, acceleration and speed that are not given are estimated from the file.
+
+Examples:
+
+  jink track radar.csv --estimator intent-imm --plot track.png
+
+  jink track fixes.csv --truth gnss.csv --axes 2 --out estimates.parquet
+
+  jink track log.csv --columns t=time,x=east,y=north --sigma 15 --acceleration 2
+
+  jink track radar.csv --sigma sigma_range=10,sigma_bearing=0.005 --degrees
+
+  jink track flight.csv --where fresh=1 --columns z=alt_m --smooth --out flight.csv
+"""
+_READING, _MODEL, _OUTPUT = "Reading the file", "What is assumed", "What comes out"
+
+
+@app.command("track", help=_TRACK_HELP)
+def track_command(
+    file: Annotated[Path, typer.Argument(help="CSV or Parquet file of measurements.", metavar="FILE")],
+    estimator: Annotated[str, typer.Option("--estimator", "-e", help="Name from 'jink list'.")] = "imm",
+    columns: Annotated[
+        str, typer.Option(help="Our names to the file's: t=time,x=east,y=north.", rich_help_panel=_READING)
+    ] = "",
+    truth: Annotated[
+        Path | None, typer.Option(help="File of true positions.", rich_help_panel=_READING)
+    ] = None,
+    truth_columns: Annotated[
+        str, typer.Option(help="As --columns, for the truth.", rich_help_panel=_READING)
+    ] = "",
+    where: Annotated[
+        list[str] | None,
+        typer.Option(help="Keep rows whose column has a value: gps_new=1.", rich_help_panel=_READING),
+    ] = None,
+    bias: Annotated[
+        list[str] | None,
+        typer.Option(help="Known constant error, subtracted: range=2.8.", rich_help_panel=_READING),
+    ] = None,
+    axes: Annotated[
+        int | None, typer.Option(help="Space dimensions, 2 or 3.", rich_help_panel=_READING)
+    ] = None,
+    height: Annotated[
+        float | None,
+        typer.Option(help="Height of the target, m: slant ranges to horizontal.", rich_help_panel=_READING),
+    ] = None,
+    sort: Annotated[bool, typer.Option("--sort", help="Sort by time.", rich_help_panel=_READING)] = False,
+    degrees: Annotated[
+        bool, typer.Option("--degrees", help="Angles are in degrees.", rich_help_panel=_READING)
+    ] = False,
+    compass: Annotated[
+        bool, typer.Option("--compass", help="Bearings are clockwise from north.", rich_help_panel=_READING)
+    ] = False,
+    drop_repeats: Annotated[
+        bool,
+        typer.Option("--drop-repeats", help="Leave out stale repeated rows.", rich_help_panel=_READING),
+    ] = False,
+    rate_hz: Annotated[
+        float | None, typer.Option(help="Rows per second, without a time column.", rich_help_panel=_READING)
+    ] = None,
+    sigma: Annotated[
+        str | None,
+        typer.Option(
+            help="Standard deviation: 15, or sigma_range=1,sigma_bearing=.01.", rich_help_panel=_MODEL
+        ),
+    ] = None,
+    acceleration: Annotated[
+        float | None, typer.Option(help="Typical acceleration, m/s^2.", rich_help_panel=_MODEL)
+    ] = None,
+    speed: Annotated[
+        float | None, typer.Option(help="Typical speed along an axis, m/s.", rich_help_panel=_MODEL)
+    ] = None,
+    turn_rate: Annotated[
+        float | None, typer.Option(help="Typical turn rate, rad/s.", rich_help_panel=_MODEL)
+    ] = None,
+    sojourn: Annotated[
+        float | None, typer.Option(help="Mean time between changes of mode, s.", rich_help_panel=_MODEL)
+    ] = None,
+    smooth: Annotated[
+        bool,
+        typer.Option("--smooth", help="Use later measurements too.", rich_help_panel=_OUTPUT),
+    ] = False,
+    forecast: Annotated[
+        float | None,
+        typer.Option(help="Say where each track will be, seconds after its end.", rich_help_panel=_OUTPUT),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Estimates to this .parquet or .csv.", rich_help_panel=_OUTPUT)
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="Picture to this .png, .pdf or .svg.", rich_help_panel=_OUTPUT)
+    ] = None,
+    show: Annotated[
+        str | None, typer.Option(help="Track to draw; default the longest.", rich_help_panel=_OUTPUT)
+    ] = None,
+) -> None:
+    """Estimate the tracks of a file."""
+    from jink.training.summary import print_report
+    from jink.training.track import TrackRequest, track
+
+    report = track(
+        TrackRequest(
+            file=file,
+            estimator=estimator,
+            columns=columns,
+            truth=truth,
+            truth_columns=truth_columns,
+            where=tuple(where or ()),
+            bias=tuple(bias or ()),
+            axes=axes,
+            height=height,
+            sort=sort,
+            degrees=degrees,
+            compass=compass,
+            drop_repeats=drop_repeats,
+            rate_hz=rate_hz,
+            sigma=sigma,
+            acceleration=acceleration,
+            speed=speed,
+            turn_rate=turn_rate,
+            sojourn=sojourn,
+            smooth=smooth,
+            forecast=forecast,
+            out=out,
+            plot=plot,
+            shown=show,
+        )
+    )
+    console = screen()
+    print_report(console, report)
+    for path in (out, plot):
+        if path is not None:
+            console.print(f"wrote {path}", markup=False)
+
+
+@app.command("list")
+def list_command() -> None:
+    """Name the estimators, motions, sensors, scenarios and suites.
+
+    Example:
+
+      jink list
+    """
+    from jink.training.catalogue import print_catalogue
+
+    print_catalogue(screen())
+
+
+_BENCH_HELP = """Compare estimators and print a table; rows are written as they finish.
+
+Rows already in --out are not computed again, so an interrupted run goes on where it stopped.
+
+Examples:
+
+  jink bench --suite published --quick
+
+  jink bench --suite published --runs 200 --out rows.parquet
+
+  jink bench --suite recorded --data DIR --out rows.parquet
+"""
+
+
+@app.command("bench", help=_BENCH_HELP)
+def bench_command(
+    suite: Annotated[str, typer.Option(help="published or recorded.")],
+    quick: Annotated[bool, typer.Option("--quick", help="A first answer within a minute.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Rows to this .parquet; appended.")] = None,
+    data: Annotated[Path | None, typer.Option(help="Folder of recorded tracks.")] = None,
+    runs: Annotated[int | None, typer.Option(help="Monte-Carlo runs; default those of the source.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of truth and noise.")] = 1,
+) -> int:
+    """Compare estimators."""
+    from jink.training.bench import BenchRequest, bench
+
+    return bench(BenchRequest(suite=suite, quick=quick, out=out, data=data, runs=runs, seed=seed), screen())
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        arguments: without the program's name; None: those of the process.
+
+    Returns:
+        exit code: 0, 1 where a benchmark cell failed, 2 for refused input, 130 after Ctrl-C.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    return run_command(lambda: app(args=given, prog_name="jink", standalone_mode=False))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

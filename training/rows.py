@@ -1,0 +1,200 @@
+"""Results as rows of a Parquet file: one per number, appended cell by cell, with all that made them."""
+
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+import json
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pandas as pd
+
+__all__ = ["Cell", "append_rows", "finished_cells", "make_rows", "provenance", "read_rows"]
+
+COLUMNS = {
+    "suite": "string", "scenario": "string", "estimator": "string", "metric": "string", "value": "float64",
+    "unit": "string", "published": "float64", "published_low": "float64", "published_high": "float64",
+    "status": "string", "reason": "string", "runs": "int64", "seed": "int64", "parameters": "string",
+    "steps": "int64", "seconds": "float64", "started": "string", "command": "string", "commit": "string",
+    "versions": "string", "machine": "string",
+}  # fmt: skip
+STATUSES = ("ok", "diverged", "skipped", "error")
+
+
+class Cell(NamedTuple):
+    """One estimator on one scenario: what is computed once and then skipped."""
+
+    suite: str
+    scenario: str
+    estimator: str
+    runs: int
+    seed: int
+    commit: str
+
+
+def read_rows(path: Path) -> pd.DataFrame:
+    """The rows of a file; none where it does not exist yet.
+
+    Raises:
+        ValueError: the file holds something else.
+    """
+    if not path.exists():
+        return pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in COLUMNS.items()})
+    try:
+        rows = pd.read_parquet(path)
+    except (OSError, ValueError) as error:
+        raise ValueError(
+            f"read_rows: file must be Parquet rows of jink bench; got {path.name} ({error}). Choose another --out."
+        ) from error
+    missing = [name for name in COLUMNS if name not in rows.columns]
+    if missing:
+        raise ValueError(
+            f"read_rows: file must have the columns of jink bench; got {path.name} without {', '.join(missing)}. "
+            "Choose another --out."
+        )
+    return rows[list(COLUMNS)].astype(COLUMNS)
+
+
+def finished_cells(rows: pd.DataFrame) -> set[Cell]:
+    """Cells that need no second run; those that ended in an error or were skipped are tried again."""
+    done = rows[~rows["status"].isin(["error", "skipped"])]
+    return {Cell(*values) for values in done[list(Cell._fields)].itertuples(index=False, name=None)}
+
+
+def append_rows(path: Path, new: pd.DataFrame) -> None:
+    """Add rows to a file, replacing those of the same cells; a reader finds the old file or the new one.
+
+    Args:
+        path: Parquet file, made where it does not exist.
+        new: rows from `make_rows`.
+
+    Raises:
+        ValueError: the file holds something else.
+        OSError: it cannot be written.
+    """
+    old = read_rows(path)
+    keys = list(Cell._fields)
+    again = pd.MultiIndex.from_frame(old[keys]).isin(pd.MultiIndex.from_frame(new[keys]))
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        pd.concat([old[~again], new], ignore_index=True).to_parquet(part, index=False)
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def make_rows(
+    cell: Cell,
+    values: Mapping[str, tuple[float, str]],
+    *,
+    status: str = "ok",
+    reason: str = "",
+    published: Mapping[str, tuple[float, float, float]] | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    steps: int = 0,
+    seconds: float = 0.0,
+    started: str = "",
+) -> pd.DataFrame:
+    """Rows of one cell.
+
+    Args:
+        cell: what was computed.
+        values: metric to value and unit; empty: one row that only carries the status.
+        status: ok, diverged, skipped or error.
+        reason: why, where it is not ok.
+        published: metric to value, low and high end to compare with (NaN = none).
+        parameters: resolved parameters of scenario and estimator.
+        steps: track-steps computed.
+        seconds: wall time.
+        started: from `now`.
+
+    Returns:
+        the rows, with their provenance.
+
+    Raises:
+        ValueError: an unknown status.
+    """
+    if status not in STATUSES:
+        raise ValueError(f"make_rows: status must be one of {', '.join(STATUSES)}; got '{status}'. Use one of them.")
+    common = {
+        **cell._asdict(),
+        **provenance(),
+        "status": status,
+        "reason": reason,
+        "parameters": json.dumps(parameters or {}, sort_keys=True, default=str),
+        "steps": steps,
+        "seconds": seconds,
+        "started": started or now(),
+    }
+    records = []
+    for metric, (value, unit) in (values or {"": (float("nan"), "")}).items():
+        known = (published or {}).get(metric, (float("nan"),) * 3)
+        numbers = dict(zip(("published", "published_low", "published_high"), known, strict=True))
+        records.append(common | numbers | {"metric": metric, "value": float(value), "unit": unit})
+    return pd.DataFrame(records)[list(COLUMNS)].astype(COLUMNS)
+
+
+def now() -> str:
+    """UTC time to the second, ISO 8601."""
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+@functools.cache
+def provenance() -> dict[str, str]:
+    """Command, commit, versions and machine; no host names, users or folders."""
+    versions = {"python": platform.python_version()}
+    for name in ("jink", "numba", "numpy", "pandas", "scipy"):
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = "not installed"
+    machine = {"cpu": _cpu(), "cores": os.cpu_count() or 0, "system": platform.system(), "bits": platform.machine()}
+    return {
+        "command": _command(sys.argv[1:]),
+        "commit": commit(),
+        "versions": json.dumps(versions, sort_keys=True),
+        "machine": json.dumps(machine, sort_keys=True),
+    }
+
+
+def _command(arguments: Sequence[str]) -> str:
+    """The command line with folders cut off."""
+    short = [Path(a).name or a if os.sep in a else a for a in arguments]
+    return " ".join(["jink", *short])
+
+
+@functools.cache
+def commit() -> str:
+    """Commit of the source tree this package runs from, "+" where files differ from it, "" outside of one."""
+    here = Path(__file__).resolve().parent
+
+    def git(*arguments: str) -> str:
+        done = subprocess.run(
+            ["git", "-C", str(here), *arguments], capture_output=True, text=True, timeout=10, check=True
+        )
+        return done.stdout.strip()
+
+    try:
+        # An installed copy may lie inside some other project's tree, whose commit would say nothing.
+        if not (Path(git("rev-parse", "--show-toplevel")) / "training" / Path(__file__).name).is_file():
+            return ""
+        return git("rev-parse", "HEAD") + ("+" if git("status", "--porcelain", "--untracked-files=no") else "")
+    except (OSError, subprocess.SubprocessError):
+        return ""
+
+
+def _cpu() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        return platform.processor()
+    return platform.processor()

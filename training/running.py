@@ -1,0 +1,134 @@
+"""Tracks through an estimator in portions, so that a progress bar can move and Ctrl-C is heard."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jink.estimators.sensors import make_sensor
+from jink.estimators.tracks import Tracks
+
+__all__ = ["Forecast", "forecast_ends", "raw_positions", "run_tracks"]
+
+Floats = NDArray[np.float64]
+
+_PORTION = 200_000
+"""Track-steps of one call: a fraction of a second."""
+
+
+class Forecast(NamedTuple):
+    """Where one track will be: its name, time s, position mean (A,) m and covariance (A, A) m^2."""
+
+    track: str
+    time: float
+    mean: Floats
+    covariance: Floats
+
+
+def run_tracks(
+    estimator: Any,
+    tracks: Tracks,
+    *,
+    use_noise: bool = True,
+    smooth: bool = False,
+    advance: Callable[[int], None] | None = None,
+) -> Any:
+    """Estimates of all tracks.
+
+    Args:
+        estimator: from `make_estimator`.
+        tracks: B tracks of T rows.
+        use_noise: whether the tracks' own covariances are used; False: the sensor's.
+        smooth: use all measurements of a track for each of its estimates.
+        advance: called with the rows done after each portion.
+
+    Returns:
+        `Estimates`, (B, T, ...).
+    """
+    B, T = tracks.times.shape
+    call = estimator.smooth if smooth else estimator.run
+    size = max(1, _PORTION // max(T, 1))
+    parts = []
+    for first in range(0, B, size):
+        rows = slice(first, first + size)
+        noise = tracks.noise if use_noise else None
+        states = tracks.sensor_states
+        parts.append(
+            call(
+                tracks.measurements[rows],
+                tracks.times[rows],
+                noise=None if noise is None else noise[rows],
+                sensor_states=None if states is None else states[rows],
+                lengths=tracks.lengths[rows],
+            )
+        )
+        if advance is not None:
+            advance(int(tracks.lengths[rows].sum()))
+    if len(parts) == 1:
+        return parts[0]
+    return type(parts[0])(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+
+def forecast_ends(
+    estimator: Any,
+    tracks: Tracks,
+    horizon: float,
+    *,
+    use_noise: bool = True,
+    advance: Callable[[int], None] | None = None,
+) -> list[Forecast]:
+    """Where each track will be, `horizon` seconds after its last row.
+
+    Args:
+        estimator: from `make_estimator`.
+        tracks: what was measured.
+        horizon: s, >= 0.
+        use_noise: as for `run_tracks`.
+        advance: called with the rows of each track when it is done.
+
+    Returns:
+        one per track that could be started.
+    """
+    found = []
+    for track in tracks:
+        state = None
+        for row, (time, z) in enumerate(zip(track.times, track.measurements, strict=True)):
+            options: dict[str, Any] = {}
+            if use_noise and track.noise is not None:
+                options["noise"] = track.noise[row]
+            if track.sensor_states is not None:
+                options["sensor_state"] = track.sensor_states[row]
+            if state is None:
+                state = estimator.start(z, time, **options)
+            else:
+                state, _ = estimator.step(state, z, time, **options)
+        if state is not None:
+            mean, covariance = estimator.forecast(state, horizon)
+            found.append(Forecast(track.id, float(track.times[-1] + horizon), mean, covariance))
+        if advance is not None:
+            advance(len(track.times))
+    return found
+
+
+def raw_positions(tracks: Tracks) -> Floats | None:
+    """Positions that the measurements give without a filter; (B, T, A), NaN where they do not; metres.
+
+    Returns:
+        positions, or None where a row of this sensor does not locate the target.
+    """
+    if tracks.sensor == "position":
+        return tracks.measurements
+    labels = make_sensor(tracks.sensor).labels if tracks.sensor.startswith("range-bearing") else ()
+    if "bearing" not in labels:
+        return None
+    reach, bearing = tracks.measurements[..., 0], tracks.measurements[..., 1]
+    elevation = tracks.measurements[..., 2] if "elevation" in labels else np.zeros_like(reach)
+    ground = reach * np.cos(elevation)
+    places = np.stack([ground * np.cos(bearing), ground * np.sin(bearing), reach * np.sin(elevation)], axis=-1)
+    places = places[..., : tracks.axes]
+    if tracks.sensor_states is not None:
+        places = places + tracks.sensor_states[..., : tracks.axes]
+    return np.asarray(places)

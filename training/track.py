@@ -1,0 +1,216 @@
+"""`jink track`: read a file, choose parameters, estimate, write, plot, and say what came out."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jink.envs.columns import parse_columns
+from jink.envs.estimates_file import write_estimates
+from jink.envs.recorded import read_tracks
+from jink.estimators.metrics import summary
+from jink.estimators.tracks import Tracks
+from jink.training.console import check_writable, progress, say_when_compiling
+from jink.training.options import parse_numbers, parse_pairs, parse_sigma
+from jink.training.running import Forecast, forecast_ends, raw_positions, run_tracks
+from jink.training.tuning import sensor_of, tune
+
+__all__ = ["Parameter", "TrackReport", "TrackRequest", "track"]
+
+
+@dataclass(frozen=True)
+class TrackRequest:
+    """What the command line asked for; None and empty mean "not given"."""
+
+    file: Path
+    estimator: str = "imm"
+    columns: str = ""
+    truth: Path | None = None
+    truth_columns: str = ""
+    where: tuple[str, ...] = ()
+    bias: tuple[str, ...] = ()
+    axes: int | None = None
+    height: float | None = None
+    sort: bool = False
+    degrees: bool = False
+    compass: bool = False
+    drop_repeats: bool = False
+    rate_hz: float | None = None
+    sigma: str | None = None
+    acceleration: float | None = None
+    speed: float | None = None
+    turn_rate: float | None = None
+    sojourn: float | None = None
+    smooth: bool = False
+    forecast: float | None = None
+    out: Path | None = None
+    plot: Path | None = None
+    shown: str | None = None
+
+
+class Parameter(NamedTuple):
+    """One parameter of the run, with where it came from: given, file, tuned or default."""
+
+    name: str
+    value: float | None
+    unit: str
+    origin: str
+
+
+class TrackReport(NamedTuple):
+    """Everything the summary and the plot need."""
+
+    tracks: Tracks
+    estimator: str
+    modes: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
+    estimates: Any
+    scores: dict[str, float]
+    raw_scores: dict[str, float]
+    forecasts: list[Forecast]
+    seconds: float
+
+
+def track(request: TrackRequest) -> TrackReport:
+    """Run one request.
+
+    Args:
+        request: what was asked for.
+
+    Returns:
+        what came out; files are written where they were asked for.
+
+    Raises:
+        ValueError: an option, a cell or a name that is refused, in one sentence.
+        OSError: a file that cannot be read or written.
+    """
+    from jink.estimators.recipes import RECIPES
+
+    if request.estimator not in RECIPES:
+        raise ValueError(
+            f"--estimator: name must be one of {', '.join(RECIPES)}; got '{request.estimator}'. See jink list."
+        )
+    check_writable(request.out, "--out", (".parquet", ".csv"))
+    check_writable(request.plot, "--plot", (".png", ".pdf", ".svg"))
+    _check_numbers(request)
+    tracks = _read(request)
+    if request.shown is not None and request.shown not in tracks.ids:
+        tracks.subset([request.shown])
+    with say_when_compiling():
+        estimator, parameters, use_noise = _prepare(request, tracks)
+        with progress(f"{request.estimator}: {tracks.source}", float(tracks.lengths.sum())) as advance:
+            began = time.perf_counter()
+            estimates = run_tracks(
+                estimator, tracks, use_noise=use_noise, smooth=request.smooth, advance=advance
+            )
+            seconds = time.perf_counter() - began
+        forecasts: list[Forecast] = []
+        if request.forecast is not None:
+            with progress(f"forecast: {tracks.source}", float(tracks.lengths.sum())) as advance:
+                forecasts = forecast_ends(
+                    estimator, tracks, request.forecast, use_noise=use_noise, advance=advance
+                )
+    modes = tuple(estimator.modes)
+    if request.out is not None:
+        write_estimates(request.out, tracks, estimates, modes)
+    scores = summary(estimates, tracks.truth, tracks.truth_velocity, tracks.lengths)
+    raw_scores = score_raw(tracks, estimates)
+    report = TrackReport(
+        tracks, request.estimator, modes, parameters, estimates, scores, raw_scores, forecasts, seconds
+    )
+    if request.plot is not None:
+        from jink.training.plotting import plot_track
+
+        plot_track(request.plot, report, request.shown)
+    return report
+
+
+def _check_numbers(request: TrackRequest) -> None:
+    """Physical options are positive; a horizon may be zero."""
+    for name in ("acceleration", "speed", "turn_rate", "sojourn", "forecast"):
+        value = getattr(request, name)
+        low = -math.ulp(0.0) if name == "forecast" else 0.0
+        if value is not None and not low < value < math.inf:
+            raise ValueError(
+                f"--{name.replace('_', '-')}: value must be {'>= 0' if name == 'forecast' else '> 0'} and finite; "
+                f"got {value:g}. Use SI units."
+            )
+
+
+def _read(request: TrackRequest) -> Tracks:
+    with progress(f"reading {request.file.name}"):
+        return read_tracks(
+            request.file,
+            parse_columns(request.columns) or None,
+            axes=request.axes,
+            truth=request.truth,
+            truth_columns=parse_columns(request.truth_columns) or None,
+            where=parse_pairs("--where", request.where) or None,
+            sort=request.sort,
+            drop_repeats=request.drop_repeats,
+            rate_hz=request.rate_hz,
+            height=request.height,
+            compass=request.compass,
+            degrees=request.degrees,
+            bias=parse_numbers("--bias", request.bias) or None,
+        )
+
+
+def _prepare(request: TrackRequest, tracks: Tracks) -> tuple[Any, tuple[Parameter, ...], bool]:
+    """The estimator, its parameters with their origins, and whether the file's own sigmas are used."""
+    from jink.estimators.recipes import make_estimator
+
+    plain = sensor_of(tracks)
+    sigma = None if request.sigma is None else parse_sigma(request.sigma, plain)
+    with progress("choosing noise and acceleration from the file") as advance:
+        tuning = tune(
+            tracks, sigma=sigma, acceleration=request.acceleration, speed=request.speed, advance=advance
+        )
+    use_noise = tracks.noise is not None and sigma is None
+    origin = {
+        name: "given" if getattr(request, name) is not None else "tuned" if name in tuning.tuned else "default"
+        for name in ("sigma", "acceleration", "speed")
+    }
+    if use_noise:
+        origin["sigma"] = "file"
+    found = [
+        Parameter(f"sigma_{label.replace(' ', '_')}", value, unit, origin["sigma"])
+        for label, value, unit in zip(plain.labels, tuning.sigma, plain.units, strict=True)
+    ]
+    found.append(Parameter("acceleration", tuning.acceleration, "m/s^2", origin["acceleration"]))
+    found.append(Parameter("speed", tuning.speed, "m/s", origin["speed"]))
+    options: dict[str, Any] = {"acceleration": tuning.acceleration, "speed": tuning.speed}
+    for name, unit in (("turn_rate", "rad/s"), ("sojourn", "s")):
+        value = getattr(request, name)
+        found.append(Parameter(name, value, unit, "default" if value is None else "given"))
+        if value is not None:
+            options[name] = value
+    estimator = make_estimator(
+        request.estimator, sensor=sensor_of(tracks, tuning.sigma), axes=tracks.axes, **options
+    )
+    return estimator, tuple(found), use_noise
+
+
+def score_raw(tracks: Tracks, estimates: Any) -> dict[str, float]:
+    """Errors of the measurements themselves, on the rows where both they and the estimates are scored."""
+    import numpy as np
+
+    from jink.estimators.metrics import errors
+
+    raw = raw_positions(tracks)
+    if raw is None or tracks.truth is None:
+        return {}
+    started = np.isfinite(np.asarray(estimates.position)).all(axis=2) & tracks.used
+    values = errors(raw, tracks.truth, None, started & np.isfinite(raw).all(axis=2))
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return {}
+    return {
+        "scored_steps": float(values.size),
+        "position_rmse_m": float(np.sqrt(np.mean(values**2))),
+        "position_median_m": float(np.median(values)),
+        "position_peak_m": float(values.max()),
+    }
