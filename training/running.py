@@ -94,20 +94,15 @@ def forecast_ends(
     """
     found = []
     for track in tracks:
-        state = None
-        for row, (time, z) in enumerate(zip(track.times, track.measurements, strict=True)):
-            options: dict[str, Any] = {}
-            if use_noise and track.noise is not None:
-                options["noise"] = track.noise[row]
-            if track.sensor_states is not None:
-                options["sensor_state"] = track.sensor_states[row]
-            if state is None:
-                state = estimator.start(z, time, **options)
-            else:
-                state, _ = estimator.step(state, z, time, **options)
-        if state is not None:
-            mean, covariance = estimator.forecast(state, horizon)
-            found.append(Forecast(track.id, float(track.times[-1] + horizon), mean, covariance))
+        noise = track.noise if use_noise else None
+        try:
+            state = estimator.start(
+                track.measurements, track.times, noise=noise, sensor_states=track.sensor_states
+            )
+        except ValueError:
+            continue  # its rows do not locate it: such a track has no end to start from
+        mean, covariance = estimator.forecast(state, horizon)
+        found.append(Forecast(track.id, float(track.times[-1] + horizon), mean, covariance))
         if advance is not None:
             advance(len(track.times))
     return found

@@ -188,9 +188,7 @@ def _prepare(request: TrackRequest, tracks: Tracks) -> tuple[Any, tuple[Paramete
         found.append(Parameter(name, value, unit, "default" if value is None else "given"))
         if value is not None:
             options[name] = value
-    estimator = make_estimator(
-        request.estimator, sensor=sensor_of(tracks, tuning.sigma), axes=tracks.axes, **options
-    )
+    estimator = make_estimator(request.estimator, sensor=sensor_of(tracks, tuning.sigma), **options)
     return estimator, tuple(found), use_noise
 
 

@@ -181,7 +181,6 @@ def tune(
         engine = make_estimator(
             estimator,
             sensor=sensor_of(tracks, values),
-            axes=tracks.axes,
             acceleration=density,
             speed=found_speed or DEFAULT_SPEED,
         )
