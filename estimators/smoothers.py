@@ -1,16 +1,21 @@
-"""Fixed-interval smoothing: Rauch-Tung-Striebel through every pair of modes.
+"""Fixed-interval smoothing of a bank: Rauch-Tung-Striebel through every pair of modes.
 
-Model: filtering gives ``p(x_k, m_k = j | z_1:k)``. Going back, each pair (mode j at k, mode i during the step to
-k + 1) has joint moments of ``x_k`` (in the components of j) and ``x_k+1`` (in those of i): points of ``x_k`` are
-converted to i, moved by i, and Q_i added. With ``X`` their cross covariance and ``G = X (P-)^-1``::
+Filtering gives ``p(x_k, m_k = j | z_1:k)``. Each pair (mode j at k, mode i during the step to k + 1) has joint
+moments of ``x_k`` (in the components of j) and ``x_k+1`` (in those of i): points of ``x_k`` are converted to i, moved
+by i, and Q_i added; ``m_ji``, ``P_ji`` is the prediction, ``G = X' P_ji^-1`` the smoother gain. The future reaches
+mode i at k + 1 as the likelihood
 
-    x_k | j, i ~ N(m_j + G (s_i - m-),  P_j + G (S_i - P-) G')
-    weight_ji  ~ s_i(k + 1)  Pi_ji mu_j(k) N(s_i; m-, P-) / sum over j
+    L_i(x) = N(x; s_i, S_i) / N(x; p_i, P_i),   p_i, P_i = moments of sum_j w_j|i N(m_ji, P_ji)
 
-and the smoothed mode j at k is the mixture over i. One mode: the RTS smoother exactly. ``Pi = I``: one RTS smoother
-per mode. Source: Rauch, Tung, Striebel (1965); mode recursion Kim (1994) with the density of the smoothed state as in
-Barber (2006), expectation correction. Differs: modes may have unlike states, because each gain maps back directly
-into the components of j.
+(smoothed over predicted). Every pair is updated by that likelihood alone, ``s_ji, S_ji``, so no mode has to explain
+what another predicted, and weights follow from how well each pair explains it:
+
+    x_k | j, i ~ N(m_j + G (s_ji - m_ji), P_j + G (S_ji - P_ji) G'),   weight_ji = s_i(k + 1) w_j|i int N_ji L_i / sum_j
+
+Mode j at k is the mixture of its pairs. One mode: the RTS smoother exactly. ``Pi = I``: one RTS smoother per mode.
+Source: Rauch, Tung, Striebel (1965); pairs as in Kim (1994) and Nadarajah et al. (2012). Differs: unlike states (each
+gain maps straight back into the components of j), and the likelihood in place of the smoothed state itself: with the
+latter, pairs that predicted something else are dragged along and the recursion can run away.
 """
 
 from __future__ import annotations
@@ -20,7 +25,7 @@ import numpy as np
 from jink.estimators.compiled import call_transition, entry_kernel, inner_kernel
 from jink.estimators.cycle import fuse
 from jink.estimators.interaction import convert_point, joint_points, own_prior
-from jink.estimators.linalg import cholesky, copy_matrix, copy_vector, solve_lower, wrap_angle
+from jink.estimators.linalg import cholesky, copy_matrix, copy_vector, solve_lower, solve_upper, wrap_angle
 from jink.estimators.markov import transition_matrix
 from jink.estimators.modes import process_noise
 from jink.estimators.program import BIRTH, make_work
@@ -29,20 +34,20 @@ from jink.estimators.unscented import point_weights, points_mean
 
 __all__ = ["smooth_tracks"]
 
-_LOG_TWO_PI = np.log(2.0 * np.pi)
+_UNINFORMED = 1.0 - 1e-12
+_SWEEPS = 12
 
 
 @inner_kernel
-def _joint_step(program, work, i, j, m, P, m_own, P_own, dt, near, ahead_mean, ahead_cov, cross):
-    """Moments of mode i at k + 1 and their cross covariance (n_i, n_j) with mode j at k."""
+def _pair_prediction(program, work, i, j, m, P, m_own, P_own, dt, near, ahead_mean, ahead_cov, cross):
+    """Prediction of mode i from mode j, and its cross covariance (n_i, n_j) with the state of j."""
     n, size = program.sizes[j], program.sizes[i]
-    born = program.rule == BIRTH
-    own_prior(program, i, m_own, P_own, born, work.own_mean, work.own_cov)
+    process_noise(program, work, i, m_own, dt, ahead_cov)
+    own_prior(program, i, m_own, P_own, program.rule == BIRTH, work.own_mean, work.own_cov)
     count, good = joint_points(program, work, i, j, m, P, work.own_mean, work.own_cov)
     joint = n + program.drawn[i, j]
     _, centre, other = point_weights(joint, program.tuning[0], program.tuning[1], program.tuning[2])
-    moved, points = work.moved, work.points
-    converted = work.scaled[0]
+    moved, points, converted = work.moved, work.points, work.scaled[0]
     for s in range(count):
         for k in range(program.drawn[i, j]):
             work.own[k] = points[s, n + k]
@@ -50,10 +55,9 @@ def _joint_step(program, work, i, j, m, P, m_own, P_own, dt, near, ahead_mean, a
             for c in range(size):
                 if program.source[i, j, c] >= 0:
                     converted[c] = points[s, program.source[i, j, c]]
-            for k in range(program.own_counts[i]):
-                c = program.own_index[i, k]
-                if program.source[i, j, c] < 0:
-                    converted[c] = work.own[k]
+            for k in range(program.drawn[i, j]):
+                if program.source[i, j, program.own_index[i, k]] < 0:
+                    converted[program.own_index[i, k]] = work.own[k]
         else:
             convert_point(program, work, i, j, points[s], work.own, converted)
         call_transition(program.transition[i], converted[:size], dt, program.params[i], moved[s, :size])
@@ -62,78 +66,156 @@ def _joint_step(program, work, i, j, m, P, m_own, P_own, dt, near, ahead_mean, a
                 anchor = near[c] if s == 0 else moved[0, c]
                 moved[s, c] = anchor + wrap_angle(moved[s, c] - anchor)
     points_mean(moved, count, size, other, ahead_mean)
-    for c in range(n):
-        work.vector[c] = m[c]
     for a in range(size):
         for c in range(size):
-            total = ahead_cov[a, c]
+            value = 0.0
             for s in range(count):
-                total += (centre if s == 0 else other) * moved[s, a] * moved[s, c]
-            ahead_cov[a, c] = total
+                value += (centre if s == 0 else other) * moved[s, a] * moved[s, c]
+            ahead_cov[a, c] += value
         for c in range(n):
-            total = 0.0
+            value = 0.0
             for s in range(count):
-                total += (centre if s == 0 else other) * moved[s, a] * (points[s, c] - work.vector[c])
-            cross[a, c] = total
+                value += (centre if s == 0 else other) * moved[s, a] * (points[s, c] - m[c])
+            cross[a, c] = value
     return good
 
 
 @inner_kernel
-def _pair(program, work, i, j, m, P, m_own, P_own, dt, s_mean, s_cov, factor, cross, gain, difference, m_out, P_out):
-    """Smoothed moments of mode j at k given mode i; returns the log density of the smoothed state of i."""
-    n, size = program.sizes[j], program.sizes[i]
-    ahead_mean, ahead_cov = work.part_mean[i], work.part_cov[i]
-    process_noise(program, work, i, m_own, dt, ahead_cov)
-    _joint_step(program, work, i, j, m, P, m_own, P_own, dt, s_mean, ahead_mean, ahead_cov, cross)
-    cholesky(ahead_cov, size, factor)
-    copy_matrix(cross, gain, size)
-    solve_lower(factor, size, gain, n)  # W = U'^-1 X', so that G d = W' U'^-1 d and G P- G' = W' W
-    log_determinant = 0.0
-    distance = 0.0
-    for a in range(size):
-        total = s_mean[a] - ahead_mean[a]
-        if program.angular[i, a]:
-            total = wrap_angle(total)
-        for k in range(a):
-            total -= factor[k, a] * difference[k]
-        difference[a] = total / factor[a, a] if factor[a, a] > 0.0 else 0.0
-        if factor[a, a] > 0.0:
-            log_determinant += np.log(factor[a, a])
-        distance += difference[a] * difference[a]
-    for c in range(n):
-        total = m[c]
-        for a in range(size):
-            total += gain[a, c] * difference[a]
-        m_out[c] = total
-    for a in range(size - 1, -1, -1):  # U^-1 W: the transposed gain
-        for c in range(n):
-            total = gain[a, c]
-            for k in range(a + 1, size):
-                total -= factor[a, k] * gain[k, c]
-            gain[a, c] = total / factor[a, a] if factor[a, a] > 0.0 else 0.0
-    for a in range(size):
-        for c in range(n):
-            total = 0.0
-            for k in range(size):
-                total += (s_cov[a, k] - ahead_cov[a, k]) * gain[k, c]
-            cross[a, c] = total
+def _diagonalise(A, V, n):
+    """Eigenvalues onto the diagonal of symmetric ``A`` and eigenvectors into the columns of ``V``, by Jacobi."""
     for a in range(n):
         for c in range(n):
-            total = P[a, c]
-            for k in range(size):
-                total += gain[k, a] * cross[k, c]
-            P_out[a, c] = total
+            V[a, c] = 1.0 if a == c else 0.0
+    for _ in range(_SWEEPS):
+        for a in range(n - 1):
+            for c in range(a + 1, n):
+                if abs(A[a, c]) > 1e-15 * (abs(A[a, a]) + abs(A[c, c])):
+                    slope = 0.5 * (A[c, c] - A[a, a]) / A[a, c]
+                    sign = 1.0 if slope >= 0.0 else -1.0
+                    tangent = sign / (abs(slope) + np.sqrt(slope * slope + 1.0))
+                    cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
+                    sine = tangent * cosine
+                    for k in range(n):
+                        left, right = A[k, a], A[k, c]
+                        A[k, a] = cosine * left - sine * right
+                        A[k, c] = sine * left + cosine * right
+                    for k in range(n):
+                        left, right = A[a, k], A[c, k]
+                        A[a, k] = cosine * left - sine * right
+                        A[c, k] = sine * left + cosine * right
+                        left, right = V[k, a], V[k, c]
+                        V[k, a] = cosine * left - sine * right
+                        V[k, c] = sine * left + cosine * right
+
+
+@inner_kernel
+def _future_likelihood(p, P, s, S, n, angular, factor, A, V, rows, values, noises):
+    """The future as independent scalar measurements ``rows[d] (x - p) = values[d] + N(0, noises[d])``; their count.
+
+    In coordinates where ``P = I``, ``S`` has eigenvalues ``a``: information ``1/a - 1``, so the measurement has
+    variance ``a / (1 - a)`` and value ``s / (1 - a)``. Directions with ``a >= 1`` learned nothing from the future.
+    """
+    cholesky(P, n, factor)
+    copy_matrix(S, A, n)
+    solve_lower(factor, n, A, n)
     for a in range(n):
         for c in range(a):
-            P_out[a, c] = P_out[c, a]
-    return -0.5 * (size * _LOG_TWO_PI + distance) - log_determinant
+            A[a, c], A[c, a] = A[c, a], A[a, c]
+    solve_lower(factor, n, A, n)
+    for a in range(n):
+        for c in range(a):
+            A[a, c] = A[c, a] = 0.5 * (A[a, c] + A[c, a])
+    _diagonalise(A, V, n)
+    count = 0
+    for d in range(n):
+        eigenvalue = max(A[d, d], 1e-15)
+        if eigenvalue < _UNINFORMED:
+            for a in range(n):
+                rows[a, 0] = V[a, d]
+            solve_upper(factor, n, rows, 1)
+            value = 0.0
+            for a in range(n):
+                difference = wrap_angle(s[a] - p[a]) if angular[a] else s[a] - p[a]
+                value += rows[a, 0] * difference
+            for a in range(n):
+                V[a, count] = rows[a, 0]
+            values[count] = value / (1.0 - eigenvalue)
+            noises[count] = eigenvalue / (1.0 - eigenvalue)
+            count += 1
+    return count
+
+
+@inner_kernel
+def _pair_update(program, i, p, directions, values, noises, count, n, m, P, gain):
+    """Update ``N(m, P)`` of a pair by the scalar measurements; returns their log density."""
+    log_density = 0.0
+    for d in range(count):
+        variance = noises[d]
+        residual = values[d]
+        for a in range(n):
+            gain[a] = 0.0
+            for c in range(n):
+                gain[a] += P[a, c] * directions[c, d]
+            variance += directions[a, d] * gain[a]
+            residual -= directions[a, d] * (wrap_angle(m[a] - p[a]) if program.angular[i, a] else m[a] - p[a])
+        if variance > 0.0:
+            for a in range(n):
+                m[a] += gain[a] * residual / variance
+                for c in range(n):
+                    P[a, c] -= gain[a] * gain[c] / variance
+            log_density -= 0.5 * (residual * residual / variance + np.log(variance))
+    return log_density
+
+
+@inner_kernel
+def _carry_back(m, P, n, ahead_mean, ahead_cov, s, S, size, cross, factor, gain, product, m_out, P_out):
+    """``m + G (s - m-)``, ``P + G (S - P-) G'`` with ``G = cross' (P-)^-1``."""
+    cholesky(ahead_cov, size, factor)
+    copy_matrix(cross, gain, size)
+    solve_lower(factor, size, gain, n)
+    solve_upper(factor, size, gain, n)
+    for c in range(n):
+        value = m[c]
+        for a in range(size):
+            value += gain[a, c] * (s[a] - ahead_mean[a])
+        m_out[c] = value
+    for a in range(size):
+        for c in range(n):
+            value = 0.0
+            for k in range(size):
+                value += (S[a, k] - ahead_cov[a, k]) * gain[k, c]
+            product[a, c] = value
+    for a in range(n):
+        for c in range(a, n):
+            value = P[a, c]
+            for k in range(size):
+                value += gain[k, a] * product[k, c]
+            P_out[a, c] = P_out[c, a] = value
+
+
+@inner_kernel
+def _mixture(weights, means, covs, modes, n, mean, cov):
+    for a in range(n):
+        mean[a] = 0.0
+        for j in range(modes):
+            if weights[j] > 0.0:
+                mean[a] += weights[j] * means[j, a]
+    for a in range(n):
+        for c in range(n):
+            cov[a, c] = 0.0
+            for j in range(modes):
+                if weights[j] > 0.0:
+                    cov[a, c] += weights[j] * (covs[j, a, c] + (means[j, a] - mean[a]) * (means[j, c] - mean[c]))
 
 
 @inner_kernel
 def _smooth_track(program, work, mean, cov, probs, times, chains, first, last, kin_mean, kin_cov, scratch):
     """Overwrite filtered ``mean``, ``cov``, ``probs`` of rows ``first`` to ``last`` by smoothed ones."""
     modes = program.sizes.size
-    pair_mean, pair_cov, weights, factor, cross, gain, difference, next_mean, next_cov = scratch
+    pair_mean, pair_cov, weights, priors, ahead_mean, ahead_cov, back_mean, back_cov, cross, squares, vectors = scratch
+    factor, A, V, rows, gain, product = squares[0], squares[1], squares[2], squares[3], squares[4], squares[5]
+    p, s, values, noises, line = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
+    P, S = squares[6], squares[7]
     for t in range(last - 1, first - 1, -1):
         dt = times[t + 1] - times[t]
         if chains.size > 0:
@@ -143,53 +225,62 @@ def _smooth_track(program, work, mean, cov, probs, times, chains, first, last, k
         else:
             transition_matrix(program.chain, dt, modes, work.chain_scratch, work.chain)
         for i in range(modes):
-            top = -np.inf
-            for j in range(modes):
-                weights[i, j] = -np.inf
-                prior = work.chain[j, i] * probs[t, j]
-                if prior > 0.0 and probs[t + 1, i] > 0.0:
-                    density = _pair(
-                        program, work, i, j, mean[t, j], cov[t, j], mean[t, i], cov[t, i], dt,
-                        mean[t + 1, i], cov[t + 1, i], factor, cross, gain, difference, pair_mean[i, j], pair_cov[i, j],
-                    )  # fmt: skip
-                    weights[i, j] = np.log(prior) + density
-                    top = max(top, weights[i, j])
+            size = program.sizes[i]
             mass = 0.0
             for j in range(modes):
-                weights[i, j] = np.exp(weights[i, j] - top) if weights[i, j] > -np.inf else 0.0
+                priors[j] = work.chain[j, i] * probs[t, j] if probs[t + 1, i] > 0.0 else 0.0
+                mass += priors[j]
+            for j in range(modes):
+                weights[i, j] = 0.0
+                if priors[j] > 0.0:
+                    priors[j] /= mass
+                    _pair_prediction(
+                        program, work, i, j, mean[t, j], cov[t, j], mean[t, i], cov[t, i], dt, mean[t + 1, i],
+                        ahead_mean[j], ahead_cov[j], cross[j],
+                    )  # fmt: skip
+            if not mass > 0.0:
+                continue
+            _mixture(priors, ahead_mean, ahead_cov, modes, size, p, P)
+            count = _future_likelihood(
+                p, P, mean[t + 1, i], cov[t + 1, i], size, program.angular[i], factor, A, V, rows, values, noises
+            )
+            top = -np.inf
+            for j in range(modes):
+                if priors[j] > 0.0:
+                    copy_vector(ahead_mean[j], s)
+                    copy_matrix(ahead_cov[j], S, size)
+                    log_density = _pair_update(program, i, p, V, values, noises, count, size, s, S, line)
+                    weights[i, j] = np.log(priors[j]) + log_density
+                    top = max(top, weights[i, j])
+                    _carry_back(
+                        mean[t, j], cov[t, j], program.sizes[j], ahead_mean[j], ahead_cov[j], s, S, size, cross[j],
+                        factor, gain, product, pair_mean[j, i], pair_cov[j, i],
+                    )  # fmt: skip
+            mass = 0.0
+            for j in range(modes):
+                weights[i, j] = np.exp(weights[i, j] - top) if priors[j] > 0.0 else 0.0
                 mass += weights[i, j]
             for j in range(modes):
-                weights[i, j] = probs[t + 1, i] * weights[i, j] / mass if mass > 0.0 else 0.0
+                weights[i, j] *= probs[t + 1, i] / mass
         whole = 0.0
         for j in range(modes):
             n = program.sizes[j]
             mass = 0.0
             for i in range(modes):
                 mass += weights[i, j]
-            whole += mass
-            for c in range(n):
-                next_mean[j, c] = mean[t, j, c] if not mass > 0.0 else 0.0
-            if not mass > 0.0:
-                copy_matrix(cov[t, j], next_cov[j], n)
+            for i in range(modes):
+                priors[i] = weights[i, j] / mass if mass > 0.0 else 0.0
+            if mass > 0.0:
+                _mixture(priors, pair_mean[j], pair_cov[j], modes, n, back_mean[j], back_cov[j])
             else:
-                for i in range(modes):
-                    for c in range(n):
-                        if weights[i, j] > 0.0:
-                            next_mean[j, c] += weights[i, j] / mass * pair_mean[i, j, c]
-                for a in range(n):
-                    for c in range(n):
-                        total = 0.0
-                        for i in range(modes):
-                            if weights[i, j] > 0.0:
-                                da = pair_mean[i, j, a] - next_mean[j, a]
-                                dc = pair_mean[i, j, c] - next_mean[j, c]
-                                total += weights[i, j] / mass * (pair_cov[i, j, a, c] + da * dc)
-                        next_cov[j, a, c] = total
+                copy_vector(mean[t, j], back_mean[j])
+                copy_matrix(cov[t, j], back_cov[j], n)
             probs[t, j] = mass
+            whole += mass
         for j in range(modes):
-            probs[t, j] = probs[t, j] / whole if whole > 0.0 else 1.0 / modes
-            copy_vector(next_mean[j], mean[t, j])
-            copy_matrix(next_cov[j], cov[t, j], program.sizes[j])
+            probs[t, j] /= whole
+            copy_vector(back_mean[j], mean[t, j])
+            copy_matrix(back_cov[j], cov[t, j], program.sizes[j])
         fuse(program, work, mean[t], cov[t], probs[t], kin_mean[t], kin_cov[t])
 
 
@@ -215,12 +306,14 @@ def smooth_tracks(program, history, outputs, inputs, begin, end):
         np.zeros((modes, modes, states)),
         np.zeros((modes, modes, states, states)),
         np.zeros((modes, modes)),
-        np.zeros((states, states)),
-        np.zeros((states, states)),
-        np.zeros((states, states)),
-        np.zeros(states),
+        np.zeros(modes),
         np.zeros((modes, states)),
         np.zeros((modes, states, states)),
+        np.zeros((modes, states)),
+        np.zeros((modes, states, states)),
+        np.zeros((modes, states, states)),
+        np.zeros((8, states, states)),
+        np.zeros((5, states)),
     )
     _smooth_all(
         by_reference(program), by_reference(work), by_reference(history), by_reference(outputs), by_reference(inputs),

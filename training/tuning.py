@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from scipy.stats import chi2
 
 from jink.estimators.sensor import Sensor
 from jink.estimators.sensors import SENSORS, make_sensor
+from jink.estimators.starting import start_batch
 from jink.estimators.tracks import Tracks
 from jink.training.stretches import cut_stretches, rough_sigma, rough_speed, smallest_steps
 
@@ -112,22 +114,21 @@ def robust_score(estimates: Any, used: NDArray[np.bool_]) -> float:
 def tune(
     tracks: Tracks,
     *,
-    estimator: str = "kf-cv",
     sigma: Sequence[float] | None = None,
     acceleration: float | None = None,
     speed: float | None = None,
     steps: int = 2000,
     advance: Callable[[], None] | None = None,
 ) -> Tuning:
-    """Estimate what was not given, by maximising a robust likelihood of the estimator's innovations.
+    """Estimate what was not given, from the innovations of `kf-cv` on stretches of the tracks.
 
-    A coarse grid over log sigma and log acceleration, then Nelder-Mead, on stretches of the tracks.
-    Deterministic. Components that measure the same thing (x and y) share a sigma; a sigma is never below the
-    quantisation of its component. Files that carry their own sigmas keep them.
+    First the balance: a coarse grid over log sigma and log acceleration, then Nelder-Mead, on a Student-t
+    likelihood that no outlier can bend. Then the size: sigma and acceleration together (the gains stay) so that
+    the NIS, its upper 2 % left out, is what it should be. Deterministic. Components that measure the same thing
+    (x and y) share a sigma; none is below the quantisation of its component; sigmas in the file are kept.
 
     Args:
         tracks: what was measured.
-        estimator: name of the recipe that is run.
         sigma: standard deviation per component where known; (D,).
         acceleration: where known; m/s^2.
         speed: where known; m/s.
@@ -138,7 +139,7 @@ def tune(
         the values, given or estimated.
 
     Raises:
-        ValueError: an unknown sensor or estimator, or too few measurements to estimate from.
+        ValueError: an unknown sensor, or too few measurements to estimate from.
     """
     from jink.estimators.recipes import make_estimator
 
@@ -159,10 +160,20 @@ def tune(
         rough, quantum = (
             np.array([values[group == g].max() for g in group]) for values in (rough, quantum)
         )
+    sample, prior = _started(sample, sensor_of(tracks, rough), found_speed or DEFAULT_SPEED)
     low = np.maximum(quantum, _RANGE[0] * rough)
     names = tuple(n for n, f in (("sigma", free_sigma), ("acceleration", acceleration is None)) if f)
     active = np.array([free_sigma] * (int(group.max()) + 1) + [acceleration is None])
     evaluations, best = 0, -math.inf
+
+    def run(values: tuple[float, ...], density: float) -> Any:
+        engine = make_estimator(
+            "kf-cv", sensor_of(tracks, values), acceleration=density, speed=found_speed or DEFAULT_SPEED
+        )
+        noise = sample.noise if sigma is None else None
+        return engine.run(
+            sample.measurements, sample.times, noise, sample.sensor_states, sample.lengths, prior=prior
+        )
 
     def unpack(theta: Floats) -> tuple[tuple[float, ...], float]:
         values = rough
@@ -178,20 +189,7 @@ def tune(
         values, density = unpack(theta)
         if acceleration is None and not _ACCELERATIONS[0] <= density <= _ACCELERATIONS[1]:
             return 1e9
-        engine = make_estimator(
-            estimator,
-            sensor=sensor_of(tracks, values),
-            acceleration=density,
-            speed=found_speed or DEFAULT_SPEED,
-        )
-        run = engine.run(
-            sample.measurements,
-            sample.times,
-            noise=sample.noise if sigma is None else None,
-            sensor_states=sample.sensor_states,
-            lengths=sample.lengths,
-        )
-        score = robust_score(run, sample.used)
+        score = robust_score(run(values, density), sample.used)
         best = max(best, score)
         if advance is not None:
             advance()
@@ -208,8 +206,53 @@ def tune(
     else:
         cost(theta[active])
     values, density = unpack(theta)
+    if len(names) == 2:
+        # R and Q times one factor leave the gains alone and make the covariances honest.
+        factor = math.sqrt(_trimmed_nis(run(values, density), sample.used))
+        values, density = tuple(factor * value for value in values), factor * density
     tuned = names + (("speed",) if speed is None and found_speed is not None else ())
     return Tuning(values, density, found_speed or DEFAULT_SPEED, best, evaluations, tuned)
+
+
+def _trimmed_nis(estimates: Any, used: NDArray[np.bool_], share: float = 0.98) -> float:
+    """Mean NIS over its expectation, of the lower `share` of steps; at least 1/4, at most 100; 1 without steps."""
+    dof = np.asarray(estimates.nis_dof)
+    counted = used & (dof > 0)
+    if not counted.any():
+        return 1.0
+    d, nis = dof[counted], np.asarray(estimates.nis)[counted]
+    bound = np.quantile(nis / d, share)
+    # E[q; q < its quantile] of chi2_d is d times the distribution function of chi2_{d+2} there.
+    expected = {int(n): n * chi2.cdf(chi2.ppf(share, n), n + 2) / share for n in np.unique(d)}
+    kept = nis / d <= bound
+    return float(np.clip(nis[kept].sum() / sum(expected[int(n)] for n in d[kept]), 0.25, 100.0))
+
+
+def _started(sample: Tracks, sensor: Sensor, speed: float) -> tuple[Tracks, Any]:
+    """The stretches from where their targets are located on, and the prior there.
+
+    Finding a target in ranges costs more than following it, so it is done once and not per evaluation.
+    """
+    from jink.estimators.inputs import Prior
+
+    noise = sensor.noise if sample.noise is None else sample.noise
+    noise = np.broadcast_to(noise, (*sample.measurements.shape, sensor.size))
+    start = start_batch(sensor, sample.measurements, sample.times, noise, sample.sensor_states, speed)
+    T = sample.times.shape[1]
+    grid = np.minimum(start.index[:, None] + np.arange(T), T - 1)
+    rows = np.arange(len(sample))[:, None]
+    lengths = np.maximum(sample.lengths - start.index, 1)
+    padding = np.arange(T) >= lengths[:, None]
+    moved = replace(
+        sample,
+        times=sample.times[rows, grid],
+        measurements=np.where(padding[..., None], np.nan, sample.measurements[rows, grid]),
+        lengths=lengths,
+        noise=None if sample.noise is None else sample.noise[rows, grid],
+        sensor_states=None if sample.sensor_states is None else sample.sensor_states[rows, grid],
+    )
+    mean = np.concatenate([start.position, start.velocity], axis=1)
+    return moved, Prior(mean, start.covariance, includes_first=True)
 
 
 def _groups(sensor: Sensor) -> NDArray[np.int64]:
