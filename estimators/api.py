@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,18 +16,20 @@ from jink.estimators.bank import Bank
 from jink.estimators.cycle import (
     LOCATED,
     PRIOR,
-    RUNNING,
     History,
     Inputs,
     Outputs,
     State,
     advance,
     begin_tracks,
+    make_outputs,
+    make_state,
 )
 from jink.estimators.forecasting import forecast_states
 from jink.estimators.inputs import Prior, check_inputs
-from jink.estimators.program import Program
-from jink.estimators.smoothers import smooth_tracks
+from jink.estimators.program import Program, make_work
+from jink.estimators.reference import Pinned, pin
+from jink.estimators.smoothers import make_smoother, smooth_tracks
 from jink.estimators.starting import StartBatch, start_batch
 from jink.estimators.status import MISSING, STARTING
 
@@ -81,6 +84,36 @@ class BankEstimator:
     @cached_property
     def _program(self) -> Program:
         return self.bank.program()
+
+    @cached_property
+    def _handle(self) -> Pinned:
+        return pin(self._program)
+
+    @cached_property
+    def _scratch(self) -> threading.local:
+        return threading.local()
+
+    def _work(self) -> Any:
+        """Handle of this thread's scratch."""
+        scratch = self._scratch
+        if not hasattr(scratch, "work"):
+            program, sensor = self._program, self.bank.sensor
+            scratch.work = pin(
+                make_work(
+                    len(self.modes), program.angular.shape[1], program.birth_mean.shape[1], sensor.size, 2 * sensor.axes
+                )
+            )
+        return scratch.work.handle
+
+    def _smoother(self) -> Any:
+        scratch = self._scratch
+        if not hasattr(scratch, "smoother"):
+            scratch.smoother = pin(make_smoother(len(self.modes), self._program.angular.shape[1]))
+        return scratch.smoother.handle
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickled without compiled tables: addresses belong to one process."""
+        return {"bank": self.bank, "name": self.name, "threads": self.threads}
 
     def run(
         self,
@@ -140,10 +173,10 @@ class BankEstimator:
         parts = []
         for begin in range(0, tracks, chunk):
             part = _tracks(inputs, begin, min(begin + chunk, tracks))
-            _, outputs, history = self._filter(part, _prior_part(prior), True, progress)
+            _, outputs, history = self._filter(part, _prior_part(prior, begin, begin + part.measurements.shape[0]), True, progress)
             self._parallel(
                 lambda low, high, part=part, outputs=outputs, history=history: smooth_tracks(  # type: ignore[misc]
-                    self._program, history, outputs, part, low, high
+                    self._handle.handle, self._work(), self._smoother(), history, outputs, part, low, high
                 ),
                 part.measurements.shape[0],
                 rows,
@@ -214,7 +247,7 @@ class BankEstimator:
                 f"{z.shape}, {R.shape}, {sensor.shape}. One row at a time."
             )
         following = State(*(field.copy() for field in state))
-        outputs = _outputs(1, 1, kin, len(self.bank.modes))
+        outputs = make_outputs(1, 1, kin, len(self.bank.modes))
         inputs = Inputs(
             np.array([[time]], dtype=np.float64),
             z.reshape(1, 1, size),
@@ -224,7 +257,7 @@ class BankEstimator:
             _ZERO,
             _ONE,
         )
-        advance(self._program, following, inputs, outputs, self._no_history, 0, 1)
+        advance(self._handle.handle, self._work(), following, inputs, outputs, self._no_history, 0, 1)
         axes = kin // 2
         mean = outputs.kin_mean[0, 0]
         return following, Estimates(
@@ -265,7 +298,7 @@ class BankEstimator:
         tracks, kin = state.kin_mean.shape
         mean, cov = np.zeros((tracks, kin)), np.zeros((tracks, kin, kin))
         forecast_states(
-            self._program, state, horizon / steps, int(steps), weights == "W2", self.bank.sensor.size, mean, cov
+            self._handle.handle, self._work(), state, horizon / steps, int(steps), weights == "W2", mean, cov
         )
         axes = kin // 2
         if tracks == 1:
@@ -355,17 +388,18 @@ class BankEstimator:
             )[:, 0]
             state.phase[:] = np.where(used, LOCATED, PRIOR)
             begin_tracks(
-                self._program,
+                self._handle.handle,
+                self._work(),
                 np.concatenate([started.position, started.velocity], axis=1),
                 np.ascontiguousarray(started.covariance),
                 state,
             )
         else:
             self._take_prior(prior, state, inputs)
-        outputs = _outputs(tracks, rows, kin, modes)
+        outputs = make_outputs(tracks, rows, kin, modes)
         history = self._history(tracks, rows if keep else 0)
         self._parallel(
-            lambda low, high: advance(self._program, state, inputs, outputs, history, low, high),
+            lambda low, high: advance(self._handle.handle, self._work(), state, inputs, outputs, history, low, high),
             tracks,
             rows,
             progress,
@@ -374,17 +408,9 @@ class BankEstimator:
         return state, outputs, history
 
     def _blank(self, tracks: int) -> State:
-        modes, states, kin = len(self.modes), self._program.angular.shape[1], 2 * self.bank.sensor.axes
-        return State(
-            mean=np.zeros((tracks, modes, states)),
-            cov=np.zeros((tracks, modes, states, states)),
-            mode_probs=np.tile(self.bank.start_probs, (tracks, 1)),
-            kin_mean=np.zeros((tracks, kin)),
-            kin_cov=np.zeros((tracks, kin, kin)),
-            nis_average=np.ones((tracks, modes + 1)),
-            time=np.zeros(tracks),
-            phase=np.full(tracks, RUNNING, dtype=np.int64),
-        )
+        state = make_state(tracks, len(self.modes), self._program.angular.shape[1], 2 * self.bank.sensor.axes)
+        state.mode_probs[:] = self.bank.start_probs
+        return state
 
     def _locate(self, inputs: Inputs) -> StartBatch:
         tracks, rows = inputs.measurements.shape[:2]
@@ -428,7 +454,8 @@ class BankEstimator:
                     f"mode; got {mean.shape} and {cov.shape}. Add zero velocities with a large variance."
                 )
             begin_tracks(
-                self._program,
+                self._handle.handle,
+                self._work(),
                 np.ascontiguousarray(np.broadcast_to(mean, (tracks, kin))),
                 np.ascontiguousarray(np.broadcast_to(cov, (tracks, kin, kin))),
                 state,
@@ -484,18 +511,6 @@ class BankEstimator:
 _ZERO, _ONE = np.zeros(1, dtype=np.int64), np.ones(1, dtype=np.int64)
 
 
-def _outputs(tracks: int, rows: int, kin: int, modes: int) -> Outputs:
-    return Outputs(
-        kin_mean=np.zeros((tracks, rows, kin)),
-        kin_cov=np.zeros((tracks, rows, kin, kin)),
-        mode_probs=np.zeros((tracks, rows, modes)),
-        log_likelihood=np.zeros((tracks, rows)),
-        nis=np.zeros((tracks, rows)),
-        nis_dof=np.zeros((tracks, rows), dtype=np.int64),
-        status=np.zeros((tracks, rows), dtype=np.int8),
-    )
-
-
 def _tracks(inputs: Inputs, begin: int, end: int) -> Inputs:
     def cut(array: NDArray[np.float64]) -> NDArray[np.float64]:
         return array if array.shape[0] <= 1 else np.ascontiguousarray(array[begin:end])
@@ -511,8 +526,12 @@ def _tracks(inputs: Inputs, begin: int, end: int) -> Inputs:
     )
 
 
-def _prior_part(prior: Prior | None) -> Prior | None:
-    return prior
+def _prior_part(prior: Prior | None, begin: int, end: int) -> Prior | None:
+    """The prior of tracks ``begin`` to ``end``: kinematic priors may differ by track."""
+    if prior is None or isinstance(prior.mean, list) or np.ndim(prior.mean) < 2:
+        return prior
+    cov = np.asarray(prior.cov)
+    return prior._replace(mean=np.asarray(prior.mean)[begin:end], cov=cov[begin:end] if cov.ndim == 3 else cov)
 
 
 def _fill_outside(inputs: Inputs, outputs: Outputs, history: History, probs: Floats) -> None:

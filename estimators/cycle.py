@@ -10,16 +10,15 @@ from numpy.typing import NDArray
 
 from jink.estimators.compiled import entry_kernel, inner_kernel
 from jink.estimators.interaction import birth, convert, interact, own_prior
-from jink.estimators.kalman import gaussian_update
 from jink.estimators.linalg import cholesky, copy_matrix, copy_vector, total
 from jink.estimators.markov import transition_matrix
-from jink.estimators.modes import measure_mode, mode_kinematics, predict_mode
+from jink.estimators.modes import mode_kinematics, predict_mode, update_mode
 from jink.estimators.pieces import MATRIX, PROGRAM, STACK, VECTOR, WORK, piece
-from jink.estimators.program import RESET, make_work
-from jink.estimators.reference import by_reference
+from jink.estimators.program import RESET, program_at, work_at
+from jink.estimators.reference import by_reference, record_type
 from jink.estimators.status import DIVERGED, MISSING, OK, REPAIRED, STARTING
 
-__all__ = ["DIVERGED", "MISSING", "OK", "REPAIRED", "STARTING", "History", "Inputs", "Outputs", "State", "advance"]
+__all__ = ["DIVERGED", "MISSING", "OK", "REPAIRED", "STARTING", "History", "Inputs", "Outputs", "State", "advance", "make_outputs", "make_state"]
 
 
 PRIOR, RUNNING, LOCATED = range(3)
@@ -78,6 +77,43 @@ class History(NamedTuple):
 
     mean: Floats  # (B, T, M, N)
     cov: Floats  # (B, T, M, N, N)
+
+
+def make_outputs(tracks: int, rows: int, kin: int, modes: int) -> Outputs:
+    """Empty outputs of B tracks, T rows, 2A kinematics, M modes."""
+    return Outputs(
+        kin_mean=np.zeros((tracks, rows, kin)),
+        kin_cov=np.zeros((tracks, rows, kin, kin)),
+        mode_probs=np.zeros((tracks, rows, modes)),
+        log_likelihood=np.zeros((tracks, rows)),
+        nis=np.zeros((tracks, rows)),
+        nis_dof=np.zeros((tracks, rows), dtype=np.int64),
+        status=np.zeros((tracks, rows), dtype=np.int8),
+    )
+
+
+def make_state(tracks: int, modes: int, states: int, kin: int) -> State:
+    """A state of B tracks, M modes, N padded components, 2A kinematics, about which nothing is known."""
+    return State(
+        mean=np.zeros((tracks, modes, states)),
+        cov=np.zeros((tracks, modes, states, states)),
+        mode_probs=np.full((tracks, modes), 1.0 / max(modes, 1)),
+        kin_mean=np.zeros((tracks, kin)),
+        kin_cov=np.zeros((tracks, kin, kin)),
+        nis_average=np.ones((tracks, modes + 1)),
+        time=np.zeros(tracks),
+        phase=np.full(tracks, RUNNING, dtype=np.int64),
+    )
+
+
+def _example_inputs() -> Inputs:
+    four, indices = np.zeros((0, 0, 0, 0)), np.zeros(0, dtype=np.int64)
+    return Inputs(np.zeros((0, 0)), np.zeros((0, 0, 0)), four, np.zeros((0, 0, 0)), four, indices, indices)
+
+
+STATE = record_type("state", lambda: make_state(0, 0, 0, 0))
+INPUTS = record_type("inputs", _example_inputs)
+OUTPUTS = record_type("outputs", lambda: make_outputs(0, 0, 0, 0))
 
 
 @inner_kernel
@@ -256,7 +292,7 @@ def _restart_poor_modes(program, work, mean, cov, probs, nis_average):
     return good
 
 
-@inner_kernel
+@piece(types.void, PROGRAM, WORK, STATE, INPUTS, OUTPUTS, types.int64, types.int64)
 def step(program, work, state, inputs, outputs, b, t):
     """Interaction, prediction, update, probabilities and fusion for track ``b`` at row ``t``.
 
@@ -300,17 +336,10 @@ def step(program, work, state, inputs, outputs, b, t):
             birth(program, work, j, state.kin_mean[b], state.kin_cov[b], m, P)
         work.log_density[j] = 0.0
         if d > 0:
-            linear, fine = measure_mode(program, work, j, m, P, sensor, z, d)
-            for a in range(d):
-                for c in range(d):
-                    work.S_modes[j, a, c] = work.S[a, c]
-            density, nis, definite = gaussian_update(
-                m, P, work.H, linear, work.R, work.cross, work.S, work.innovation[j], d, n,
-                work.factor, work.gain, work.whitened, mean[j], cov[j],
-            )  # fmt: skip
+            density, nis, fine = update_mode(program, work, j, m, P, sensor, z, d, mean[j], cov[j])
             work.log_density[j] = density
             sound = _sound(mean[j], cov[j], n, P)
-            good = good and fine and definite and sound == 2
+            good = good and fine and sound == 2
             if sound == 0:
                 lost = True
                 _widen(state.kin_cov[b])
@@ -365,8 +394,11 @@ def _write(state, outputs, history, b, t):
             copy_matrix(state.cov[b, j], history.cov[b, t, j], state.mean.shape[2])
 
 
-@inner_kernel
-def _run_tracks(program, work, state, inputs, outputs, history, begin, end):
+@entry_kernel
+def advance(program_handle, work_handle, state, inputs, outputs, history, begin, end):
+    """Run tracks ``begin`` to ``end`` through all their rows, writing into ``state``, ``outputs`` and ``history``."""
+    program, work = program_at(program_handle), work_at(work_handle)
+    states, rows, results, kept = by_reference(state), by_reference(inputs), by_reference(outputs), by_reference(history)
     for b in range(begin, end):
         for j in range(work.cached_dt.size):
             work.cached_dt[j] = np.nan
@@ -376,38 +408,15 @@ def _run_tracks(program, work, state, inputs, outputs, history, begin, end):
                 outputs.status[b, t] = STARTING
                 state.phase[b] = RUNNING
             else:
-                step(program, work, state, inputs, outputs, b, t)
-            _write(state, outputs, history, b, t)
+                step(program, work, states, rows, results, b, t)
+            _write(states, results, kept, b, t)
 
 
-@inner_kernel
-def _begin_tracks(program, work, kin_mean, kin_cov, state):
+@entry_kernel
+def begin_tracks(program_handle, work_handle, kin_mean, kin_cov, state):
+    """Begin every mode of every track at its position and velocity: a start is a birth of all intents."""
+    program, work = program_at(program_handle), work_at(work_handle)
     for b in range(state.mean.shape[0]):
-        for j in range(program.sizes.size):
+        for j in range(state.mean.shape[1]):
             birth(program, work, j, kin_mean[b], kin_cov[b], state.mean[b, j], state.cov[b, j])
         fuse(program, work, state.mean[b], state.cov[b], state.mode_probs[b], state.kin_mean[b], state.kin_cov[b])
-
-
-@entry_kernel
-def advance(program, state, inputs, outputs, history, begin, end):
-    """Run tracks ``begin`` to ``end`` through all their rows, writing into ``state``, ``outputs`` and ``history``."""
-    own = program.birth_mean.shape[1]
-    work = make_work(
-        state.mean.shape[1], state.mean.shape[2], own, inputs.measurements.shape[2], state.kin_mean.shape[1]
-    )
-    _run_tracks(
-        by_reference(program), by_reference(work), by_reference(state), by_reference(inputs), by_reference(outputs),
-        by_reference(history), begin, end,
-    )  # fmt: skip
-    return work.F.size + program.sizes.size + state.time.size  # used here, so that none is freed earlier
-
-
-@entry_kernel
-def begin_tracks(program, kin_mean, kin_cov, state):
-    """Begin every mode of every track at its position and velocity: a start is a birth of all intents."""
-    own = program.birth_mean.shape[1]
-    work = make_work(
-        state.mean.shape[1], state.mean.shape[2], own, program.sensor_angular.size, state.kin_mean.shape[1]
-    )
-    _begin_tracks(by_reference(program), by_reference(work), kin_mean, kin_cov, by_reference(state))
-    return work.F.size + program.sizes.size + state.time.size  # used here, so that none is freed earlier

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from jink.estimators.compiled import entry_kernel, inner_kernel
+from jink.estimators.compiled import entry_kernel
 from jink.estimators.cycle import fuse
 from jink.estimators.linalg import copy_matrix, copy_vector
 from jink.estimators.markov import transition_matrix
 from jink.estimators.modes import predict_mode
-from jink.estimators.program import make_work
-from jink.estimators.reference import by_reference
+from jink.estimators.program import program_at, work_at
 
 __all__ = ["forecast_states"]
 
 
-@inner_kernel
-def _forecast(program, work, state, dt, steps, marginal, kin_mean, kin_cov):
-    modes = program.sizes.size
+@entry_kernel
+def forecast_states(program_handle, work_handle, state, dt, steps, marginal, kin_mean, kin_cov):
+    """Position and velocity ``steps`` times ``dt`` seconds ahead of each of B states.
+
+    Model: each mode repeats its prediction (points redrawn and noise added every step); weights are today's mode
+    probabilities (W1: the intent persists), or with ``marginal`` those of the chain at the horizon (W2).
+    Source: CN202211553542 claim 3, step A12. Differs: the patent names no weights; both are offered.
+    """
+    program, work = program_at(program_handle), work_at(work_handle)
+    modes = state.mean.shape[1]
     probs = work.weights
     for b in range(state.mean.shape[0]):
         copy_vector(state.mode_probs[b], probs)
@@ -43,18 +47,3 @@ def _forecast(program, work, state, dt, steps, marginal, kin_mean, kin_cov):
                         work.prior[j] += work.chain[i, j] * probs[i]
                 copy_vector(work.prior, probs)
         fuse(program, work, work.mixed_mean, work.mixed_cov, probs, kin_mean[b], kin_cov[b])
-
-
-@entry_kernel
-def forecast_states(program, state, dt, steps, marginal, measured, kin_mean, kin_cov):
-    """Position and velocity ``steps`` times ``dt`` seconds ahead of each of B states.
-
-    Model: each mode repeats its prediction (points redrawn and noise added every step); weights are today's mode
-    probabilities (W1: the intent persists), or with ``marginal`` those of the chain at the horizon (W2).
-    Source: CN202211553542 claim 3, step A12; weights EQUATIONS 1.5. Differs: none.
-    """
-    work = make_work(
-        state.mean.shape[1], state.mean.shape[2], program.birth_mean.shape[1], measured, state.kin_mean.shape[1]
-    )
-    _forecast(by_reference(program), by_reference(work), by_reference(state), dt, steps, marginal, kin_mean, kin_cov)
-    return work.F.size + program.sizes.size + state.time.size  # used here, so that none is freed earlier

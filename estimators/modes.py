@@ -5,12 +5,12 @@ from __future__ import annotations
 from numba import types
 
 from jink.estimators.compiled import call_kinematics, call_noise, call_observe, call_transition, inner_kernel
-from jink.estimators.kalman import predict_linear
+from jink.estimators.kalman import gaussian_update, predict_linear
 from jink.estimators.linalg import cholesky, wrap_angle
 from jink.estimators.pieces import MATRIX, PROGRAM, VECTOR, WORK, piece
 from jink.estimators.unscented import draw_points, point_weights, points_mean, unscented_predict
 
-__all__ = ["kinematics_of", "measure_mode", "mode_kinematics", "predict_mode"]
+__all__ = ["kinematics_of", "mode_kinematics", "predict_mode", "process_noise", "update_mode"]
 
 _NODES = (0.1127016653792583, 0.5, 0.8872983346207417)
 _NODE_WEIGHTS = (0.2777777777777778, 0.4444444444444444, 0.2777777777777778)
@@ -96,7 +96,7 @@ def predict_mode(program, work, j, m, P, dt, m_out, P_out):
     )  # fmt: skip
 
 
-@piece(types.UniTuple(types.boolean, 2), PROGRAM, WORK, types.int64, VECTOR, MATRIX, VECTOR, VECTOR, types.int64)
+@inner_kernel
 def measure_mode(program, work, j, m, P, sensor, z, d):
     """Innovation, its covariance and the cross covariance of mode ``j`` with the ``d`` components present.
 
@@ -160,6 +160,23 @@ def measure_mode(program, work, j, m, P, sensor, z, d):
             for c in range(n):
                 work.cross[a, c] += scaled * (work.points[s, c] - m[c])
     return False, good
+
+
+_UPDATED = types.Tuple((types.float64, types.float64, types.boolean))
+
+
+@piece(_UPDATED, PROGRAM, WORK, types.int64, VECTOR, MATRIX, VECTOR, VECTOR, types.int64, VECTOR, MATRIX)
+def update_mode(program, work, j, m, P, sensor, z, d, m_out, P_out):
+    """Posterior of mode ``j`` given the ``d`` components present; returns (log density, NIS, whether all went well)."""
+    linear, good = measure_mode(program, work, j, m, P, sensor, z, d)
+    for a in range(d):
+        for c in range(d):
+            work.S_modes[j, a, c] = work.S[a, c]
+    log_density, nis, definite = gaussian_update(
+        m, P, work.H, linear, work.R, work.cross, work.S, work.innovation[j], d, program.sizes[j],
+        work.factor, work.gain, work.whitened, m_out, P_out,
+    )  # fmt: skip
+    return log_density, nis, good and definite
 
 
 @piece(types.boolean, PROGRAM, WORK, types.int64, VECTOR, MATRIX, VECTOR, MATRIX)

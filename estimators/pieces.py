@@ -19,7 +19,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from jink.estimators.compiled import COMPILE_OPTIONS
-from jink.estimators.reference import ReferenceType
+from jink.estimators.reference import reference_type
 
 __all__ = ["MATRIX", "PROGRAM", "STACK", "VECTOR", "WORK", "piece", "piece_addresses"]
 
@@ -27,7 +27,6 @@ VECTOR = types.Array(types.float64, 1, "C")
 MATRIX = types.Array(types.float64, 2, "C")
 STACK = types.Array(types.float64, 3, "C")
 PROGRAM, WORK = "program", "work"
-
 _registered: list[tuple[Callable[..., Any], Any, tuple[Any, ...]]] = []
 _addresses: list[int] = []
 _compiled: list[Any] = []
@@ -38,7 +37,7 @@ def piece(returns: Any, *arguments: Any) -> Callable[[Callable[..., Any]], Any]:
 
     Args:
         returns: Numba type of the result.
-        arguments: Numba types; `PROGRAM` and `WORK` stand for references to the two records.
+        arguments: Numba types; names given to `record_type` stand for references to those records.
 
     Returns:
         A decorator; the decorated function is called like any kernel.
@@ -75,19 +74,14 @@ def _signature(returns: Any, arguments: tuple[Any, ...], given: tuple[Any, ...])
     return returns(*kinds)
 
 
-def piece_addresses(program: Any, work: Any) -> NDArray[np.int64]:
-    """Addresses of all pieces, compiled (or loaded) on the first call.
-
-    Args:
-        program, work: Numba types of the two records.
-    """
+def piece_addresses() -> NDArray[np.int64]:
+    """Addresses of all pieces, compiled (or loaded from the cache) on the first call."""
     if not _addresses:
-        records = {PROGRAM: ReferenceType(program), WORK: ReferenceType(work)}
         for function, returns, arguments in _registered:
             if config.DISABLE_JIT:
                 _addresses.append(0)
                 continue
-            kinds = [records[kind] if isinstance(kind, str) else kind for kind in arguments]
+            kinds = [reference_type(kind) if isinstance(kind, str) else kind for kind in arguments]
             compiled = cfunc(returns(*kinds), _nrt=False, **COMPILE_OPTIONS)(function)
             _compiled.append(compiled)
             _addresses.append(int(compiled.address))

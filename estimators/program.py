@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import typeof
 from numpy.typing import NDArray
 
-from jink.estimators.compiled import entry_kernel
 from jink.estimators.motion import Motion
-from jink.estimators.pieces import piece_addresses
+from jink.estimators.pieces import PROGRAM, WORK, piece_addresses
+from jink.estimators.reference import record_type, reference_reader
 from jink.estimators.sensor import Sensor
 
-__all__ = ["BIRTH", "INTERACTIONS", "JET", "MIX", "NONE", "RESET", "Program", "Work", "make_program", "make_work"]
+__all__ = ["BIRTH", "INTERACTIONS", "JET", "MIX", "NONE", "RESET", "Program", "Work", "make_program", "make_work", "program_at", "work_at"]
 
 NONE, MIX, BIRTH, JET, RESET = range(5)
 INTERACTIONS = {"none": NONE, "mix": MIX, "birth": BIRTH, "jet": JET, "reset": RESET}
@@ -113,8 +112,7 @@ class Work(NamedTuple):
     no_chains: Floats
 
 
-@entry_kernel
-def make_work(modes, states, own, measured, kin):
+def make_work(modes: int, states: int, own: int, measured: int, kin: int) -> Work:
     """Scratch arrays for M modes, N padded states, K own parameters, D measured components, 2A kinematics."""
     joint = (states + own + 7) // 8 * 8
     wide = (measured + 7) // 8 * 8
@@ -241,8 +239,8 @@ def make_program(
         callbacks = [getattr(motion, name) for motion in motions]
         return np.array([0 if callback is None else callback.address for callback in callbacks], dtype=np.int64)
 
-    fields = dict(
-        pieces=np.zeros(1, dtype=np.int64),
+    return Program(
+        pieces=piece_addresses(),
         sizes=np.array([motion.size for motion in motions], dtype=np.int64),
         own_counts=np.array([len(motion.own_labels) for motion in motions], dtype=np.int64),
         kin_index=kin_index,
@@ -277,8 +275,6 @@ def make_program(
         reset_nis=float(reset_nis),
         every_sigma_point=bool(every_sigma_point),
     )
-    program = Program(**fields)
-    return program._replace(pieces=piece_addresses(typeof(program), typeof(make_work.py_func(1, 8, 1, 1, 2))))
 
 
 def _conversions(
@@ -312,3 +308,20 @@ def _conversions(
             filled = bool((source[p, q, : to.size] < 0).any()) or not gathered[p, q]
             drawn[p, q] = len(to.own_labels) if filled else 0
     return source, gathered, drawn, use_acceleration
+
+
+def _example() -> Program:
+    """A program without modes: only its types matter."""
+    ints, floats, flags = np.zeros(0, np.int64), np.zeros((0, 0)), np.zeros(0, np.bool_)
+    tables = np.zeros((0, 0), np.int64)
+    return Program(
+        ints, ints, ints, tables, tables, flags, flags.reshape(0, 0), floats, floats, floats, floats.reshape(0, 0, 0),
+        ints, ints, ints, ints, ints, 0, False, tables.reshape(0, 0, 0), flags.reshape(0, 0), tables,
+        flags.reshape(0, 0), 0, np.zeros(0), False, floats, flags, np.zeros(0), False, floats, 0.0, 0.0, 0.0, False,
+    )  # fmt: skip
+
+
+record_type(PROGRAM, _example)
+record_type(WORK, lambda: make_work(1, 8, 1, 1, 2))
+program_at = reference_reader(PROGRAM)
+work_at = reference_reader(WORK)

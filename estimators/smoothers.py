@@ -20,7 +20,11 @@ latter, pairs that predicted something else are dragged along and the recursion 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numba import types
+from numpy.typing import NDArray
 
 from jink.estimators.compiled import call_transition, entry_kernel, inner_kernel
 from jink.estimators.cycle import fuse
@@ -28,11 +32,50 @@ from jink.estimators.interaction import convert_point, joint_points, own_prior
 from jink.estimators.linalg import cholesky, copy_matrix, copy_vector, solve_lower, solve_upper, wrap_angle
 from jink.estimators.markov import transition_matrix
 from jink.estimators.modes import process_noise
-from jink.estimators.program import BIRTH, make_work
-from jink.estimators.reference import by_reference
+from jink.estimators.pieces import MATRIX, PROGRAM, STACK, VECTOR, WORK, piece
+from jink.estimators.program import BIRTH, program_at, work_at
+from jink.estimators.reference import record_type, reference_reader
 from jink.estimators.unscented import point_weights, points_mean
 
-__all__ = ["smooth_tracks"]
+__all__ = ["Smoother", "make_smoother", "smooth_tracks"]
+
+class Smoother(NamedTuple):
+    """Scratch of the smoother; pairs are indexed (mode at k, mode at k + 1)."""
+
+    pair_mean: NDArray[np.float64]  # (M, M, N)
+    pair_cov: NDArray[np.float64]  # (M, M, N, N)
+    weights: NDArray[np.float64]  # (M, M)
+    priors: NDArray[np.float64]  # (M,)
+    ahead_mean: NDArray[np.float64]  # (M, N)
+    ahead_cov: NDArray[np.float64]  # (M, N, N)
+    back_mean: NDArray[np.float64]  # (M, N)
+    back_cov: NDArray[np.float64]  # (M, N, N)
+    cross: NDArray[np.float64]  # (M, N, N)
+    squares: NDArray[np.float64]  # (8, N, N)
+    vectors: NDArray[np.float64]  # (5, N)
+
+
+def make_smoother(modes: int, states: int) -> Smoother:
+    """Scratch for M modes of N padded components."""
+    square = (states, states)
+    return Smoother(
+        np.zeros((modes, modes, states)),
+        np.zeros((modes, modes, *square)),
+        np.zeros((modes, modes)),
+        np.zeros(modes),
+        np.zeros((modes, states)),
+        np.zeros((modes, *square)),
+        np.zeros((modes, states)),
+        np.zeros((modes, *square)),
+        np.zeros((modes, *square)),
+        np.zeros((8, *square)),
+        np.zeros((5, states)),
+    )
+
+
+SMOOTHER = record_type("smoother", lambda: make_smoother(0, 0))
+STACKS = types.Array(types.float64, 4, "C")
+smoother_at = reference_reader(SMOOTHER)
 
 _UNINFORMED = 1.0 - 1e-12
 _SWEEPS = 12
@@ -208,11 +251,15 @@ def _mixture(weights, means, covs, modes, n, mean, cov):
                     cov[a, c] += weights[j] * (covs[j, a, c] + (means[j, a] - mean[a]) * (means[j, c] - mean[c]))
 
 
-@inner_kernel
-def _smooth_track(program, work, mean, cov, probs, times, chains, first, last, kin_mean, kin_cov, scratch):
+@piece(
+    types.void, PROGRAM, WORK, SMOOTHER, STACK, STACKS, MATRIX, VECTOR, STACK, types.int64, types.int64, MATRIX, STACK
+)
+def _smooth_track(program, work, scratch, mean, cov, probs, times, chains, first, last, kin_mean, kin_cov):
     """Overwrite filtered ``mean``, ``cov``, ``probs`` of rows ``first`` to ``last`` by smoothed ones."""
     modes = program.sizes.size
-    pair_mean, pair_cov, weights, priors, ahead_mean, ahead_cov, back_mean, back_cov, cross, squares, vectors = scratch
+    pair_mean, pair_cov, weights, priors = scratch.pair_mean, scratch.pair_cov, scratch.weights, scratch.priors
+    ahead_mean, ahead_cov, cross = scratch.ahead_mean, scratch.ahead_cov, scratch.cross
+    back_mean, back_cov, squares, vectors = scratch.back_mean, scratch.back_cov, scratch.squares, scratch.vectors
     factor, A, V, rows, gain, product = squares[0], squares[1], squares[2], squares[3], squares[4], squares[5]
     p, s, values, noises, line = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
     P, S = squares[6], squares[7]
@@ -284,39 +331,14 @@ def _smooth_track(program, work, mean, cov, probs, times, chains, first, last, k
         fuse(program, work, mean[t], cov[t], probs[t], kin_mean[t], kin_cov[t])
 
 
-@inner_kernel
-def _smooth_all(program, work, history, outputs, inputs, begin, end, scratch):
+@entry_kernel
+def smooth_tracks(program_handle, work_handle, scratch_handle, history, outputs, inputs, begin, end):
+    """Smooth tracks ``begin`` to ``end`` in place, from the filter's ``history`` and ``outputs``."""
+    program, work, scratch = program_at(program_handle), work_at(work_handle), smoother_at(scratch_handle)
     for b in range(begin, end):
         row = b if inputs.times.shape[0] > 1 else 0
         chains = inputs.chains[b if inputs.chains.shape[0] > 1 else 0] if inputs.chains.size > 0 else work.no_chains
         _smooth_track(
-            program, work, history.mean[b], history.cov[b], outputs.mode_probs[b], inputs.times[row],
-            chains, inputs.first[b], inputs.lengths[b] - 1, outputs.kin_mean[b], outputs.kin_cov[b], scratch,
+            program, work, scratch, history.mean[b], history.cov[b], outputs.mode_probs[b], inputs.times[row],
+            chains, inputs.first[b], inputs.lengths[b] - 1, outputs.kin_mean[b], outputs.kin_cov[b],
         )  # fmt: skip
-
-
-@entry_kernel
-def smooth_tracks(program, history, outputs, inputs, begin, end):
-    """Smooth tracks ``begin`` to ``end`` in place, from the filter's ``history`` and ``outputs``."""
-    modes, states = history.mean.shape[2], history.mean.shape[3]
-    work = make_work(
-        modes, states, program.birth_mean.shape[1], inputs.measurements.shape[2], outputs.kin_mean.shape[2]
-    )
-    scratch = (
-        np.zeros((modes, modes, states)),
-        np.zeros((modes, modes, states, states)),
-        np.zeros((modes, modes)),
-        np.zeros(modes),
-        np.zeros((modes, states)),
-        np.zeros((modes, states, states)),
-        np.zeros((modes, states)),
-        np.zeros((modes, states, states)),
-        np.zeros((modes, states, states)),
-        np.zeros((8, states, states)),
-        np.zeros((5, states)),
-    )
-    _smooth_all(
-        by_reference(program), by_reference(work), by_reference(history), by_reference(outputs), by_reference(inputs),
-        begin, end, scratch,
-    )  # fmt: skip
-    return work.F.size + program.sizes.size + scratch[0].size  # used here, so that none is freed earlier

@@ -101,6 +101,9 @@ def track_command(
     sojourn: Annotated[
         float | None, typer.Option(help="Mean time between changes of mode, s.", rich_help_panel=_MODEL)
     ] = None,
+    gate: Annotated[
+        bool, typer.Option("--gate", help="Leave out measurements far from their own past.", rich_help_panel=_MODEL)
+    ] = False,
     smooth: Annotated[
         bool,
         typer.Option("--smooth", help="Use later measurements too.", rich_help_panel=_OUTPUT),
@@ -144,6 +147,7 @@ def track_command(
             speed=speed,
             turn_rate=turn_rate,
             sojourn=sojourn,
+            gate=gate,
             smooth=smooth,
             forecast=forecast,
             out=out,

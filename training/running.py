@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from jink.estimators.sensors import make_sensor
+from jink.estimators.starting import MAX_ROWS
 from jink.estimators.tracks import Tracks
 
-__all__ = ["Forecast", "forecast_ends", "raw_positions", "run_tracks"]
+__all__ = ["Forecast", "forecast_ends", "gate_tracks", "raw_positions", "run_tracks"]
 
 Floats = NDArray[np.float64]
 
 _PORTION = 200_000
 """Track-steps of one call: a fraction of a second."""
+
+
+_INCREDIBLE, _PATIENCE, _STARTING = 1e-5, 5, 4
 
 
 class Forecast(NamedTuple):
@@ -70,6 +76,69 @@ def run_tracks(
     if len(parts) == 1:
         return parts[0]
     return type(parts[0])(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+
+def gate_tracks(
+    estimator: Any,
+    tracks: Tracks,
+    *,
+    use_noise: bool = True,
+    advance: Callable[[int], None] | None = None,
+) -> tuple[Tracks, int]:
+    """The tracks without measurements that their own past makes incredible.
+
+    A row whose NIS exceeds the chi-square quantile 1 - 1e-5 becomes a missing one; after five such rows in a
+    row the next is believed, for then it is the estimate that is wrong.
+
+    Args:
+        estimator: from `make_estimator`, run step by step.
+        tracks: what was measured.
+        use_noise: as for `run_tracks`.
+        advance: called with the rows of each track when it is done.
+
+    Returns:
+        tracks with NaN instead of the outliers, and how many rows that were.
+    """
+    cleaned = tracks.measurements.copy()
+    limits = chi2.isf(_INCREDIBLE, np.arange(1, tracks.measurements.shape[2] + 1))
+    rejected = 0
+    for b, track in enumerate(tracks):
+        noise = track.noise if use_noise else None
+        states = track.sensor_states
+        head = slice(0, MAX_ROWS + 1)
+        begun = estimator.run(
+            track.measurements[head],
+            track.times[head],
+            None if noise is None else noise[head],
+            None if states is None else states[head],
+        )
+        first = int(np.argmax(begun.status[0] != _STARTING)) + 1
+        if first >= len(track.times) or not begun.nis_dof[0].any():
+            continue
+        head = slice(0, first)
+        state = estimator.start(
+            track.measurements[head],
+            track.times[head],
+            None if noise is None else noise[head],
+            None if states is None else states[head],
+        )
+        refused = 0
+        for row in range(first, len(track.times)):
+            z, time = track.measurements[row], track.times[row]
+            R, place = None if noise is None else noise[row], None if states is None else states[row]
+            following, estimate = estimator.step(state, z, time, R, place)
+            dof = int(estimate.nis_dof)
+            if dof and estimate.nis > limits[dof - 1] and refused < _PATIENCE:
+                following, _ = estimator.step(state, np.full_like(z, np.nan), time, R, place)
+                cleaned[b, row] = np.nan
+                refused += 1
+                rejected += 1
+            elif dof:
+                refused = 0
+            state = following
+        if advance is not None:
+            advance(len(track.times))
+    return replace(tracks, measurements=cleaned), rejected
 
 
 def forecast_ends(

@@ -7,6 +7,7 @@ from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from scipy.stats import chi2
 
 from jink.envs.estimates_file import STATUS_NAMES
 from jink.training.track import TrackReport
@@ -84,6 +85,12 @@ def _print_outcome(console: Console, report: TrackReport) -> None:
             "time in modes: "
             + ", ".join(f"{escape(name)} {100 * share:.0f} %" for name, share in zip(report.modes, shares, strict=False))
         )
+    dof = np.asarray(report.estimates.nis_dof)
+    wild = int((used & (dof > 0) & (np.asarray(report.estimates.nis) > chi2.isf(1e-5, np.maximum(dof, 1)))).sum())
+    if report.rejected:
+        console.print(f"{report.rejected} measurements left out by --gate")
+    elif wild > max(2, 1e-3 * steps):
+        console.print(f"{wild} measurements lie where 1 in 100 000 should: outliers? --gate leaves them out")
     lost = int(counts[STATUS_NAMES.index("diverged")])
     if lost:
         console.print(f"{lost} steps are marked diverged: do not use their estimates", style="yellow")

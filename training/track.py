@@ -8,17 +8,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from jink.envs.columns import parse_columns
 from jink.envs.estimates_file import write_estimates
 from jink.envs.recorded import read_tracks
-from jink.estimators.metrics import summary
+from jink.estimators.metrics import errors, summary
+from jink.estimators.sensor import Sensor
 from jink.estimators.tracks import Tracks
 from jink.training.console import check_writable, progress, say_when_compiling
 from jink.training.options import parse_numbers, parse_pairs, parse_sigma
-from jink.training.running import Forecast, forecast_ends, raw_positions, run_tracks
+from jink.training.running import Forecast, forecast_ends, gate_tracks, raw_positions, run_tracks
 from jink.training.tuning import sensor_of, tune
 
-__all__ = ["Parameter", "TrackReport", "TrackRequest", "track"]
+__all__ = ["Choice", "Parameter", "TrackReport", "TrackRequest", "choose", "estimate", "read", "track"]
+
+_SOJOURN_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,7 @@ class TrackRequest:
     speed: float | None = None
     turn_rate: float | None = None
     sojourn: float | None = None
+    gate: bool = False
     smooth: bool = False
     forecast: float | None = None
     out: Path | None = None
@@ -60,6 +66,15 @@ class Parameter(NamedTuple):
     origin: str
 
 
+class Choice(NamedTuple):
+    """Sensor, options of `make_estimator`, the same for print, and whether the file's own sigmas are used."""
+
+    sensor: Sensor
+    options: dict[str, Any]
+    parameters: tuple[Parameter, ...]
+    use_noise: bool
+
+
 class TrackReport(NamedTuple):
     """Everything the summary and the plot need."""
 
@@ -72,6 +87,7 @@ class TrackReport(NamedTuple):
     raw_scores: dict[str, float]
     forecasts: list[Forecast]
     seconds: float
+    rejected: int
 
 
 def track(request: TrackRequest) -> TrackReport:
@@ -96,36 +112,61 @@ def track(request: TrackRequest) -> TrackReport:
     check_writable(request.out, "--out", (".parquet", ".csv"))
     check_writable(request.plot, "--plot", (".png", ".pdf", ".svg"))
     _check_numbers(request)
-    tracks = _read(request)
+    tracks = read(request)
     if request.shown is not None and request.shown not in tracks.ids:
         tracks.subset([request.shown])
     with say_when_compiling():
-        estimator, parameters, use_noise = _prepare(request, tracks)
-        with progress(f"{request.estimator}: {tracks.source}", float(tracks.lengths.sum())) as advance:
-            began = time.perf_counter()
-            estimates = run_tracks(
-                estimator, tracks, use_noise=use_noise, smooth=request.smooth, advance=advance
-            )
-            seconds = time.perf_counter() - began
-        forecasts: list[Forecast] = []
-        if request.forecast is not None:
-            with progress(f"forecast: {tracks.source}", float(tracks.lengths.sum())) as advance:
-                forecasts = forecast_ends(
-                    estimator, tracks, request.forecast, use_noise=use_noise, advance=advance
-                )
-    modes = tuple(estimator.modes)
+        report = estimate(request, tracks, choose(request, tracks))
     if request.out is not None:
-        write_estimates(request.out, tracks, estimates, modes)
-    scores = summary(estimates, tracks.truth, tracks.truth_velocity, tracks.lengths)
-    raw_scores = score_raw(tracks, estimates)
-    report = TrackReport(
-        tracks, request.estimator, modes, parameters, estimates, scores, raw_scores, forecasts, seconds
-    )
+        write_estimates(request.out, tracks, report.estimates, report.modes)
     if request.plot is not None:
         from jink.training.plotting import plot_track
 
         plot_track(request.plot, report, request.shown)
     return report
+
+
+def estimate(request: TrackRequest, tracks: Tracks, choice: Choice) -> TrackReport:
+    """Gate if asked to, run or smooth, forecast, score.
+
+    Args:
+        request: what was asked for; its files are not touched.
+        tracks: from `read`.
+        choice: from `choose`.
+
+    Returns:
+        what came out.
+    """
+    from jink.estimators.recipes import make_estimator
+
+    estimator = make_estimator(request.estimator, choice.sensor, **choice.options)
+    rows, use_noise = float(tracks.lengths.sum()), choice.use_noise
+    used, rejected = tracks, 0
+    if request.gate:
+        with progress(f"gate: {tracks.source}", rows) as advance:
+            used, rejected = gate_tracks(estimator, tracks, use_noise=use_noise, advance=advance)
+    with progress(f"{request.estimator}: {tracks.source}", rows) as advance:
+        began = time.perf_counter()
+        estimates = run_tracks(estimator, used, use_noise=use_noise, smooth=request.smooth, advance=advance)
+        seconds = time.perf_counter() - began
+    forecasts: list[Forecast] = []
+    if request.forecast is not None:
+        with progress(f"forecast: {tracks.source}", rows) as advance:
+            forecasts = forecast_ends(
+                estimator, used, request.forecast, use_noise=use_noise, advance=advance
+            )
+    return TrackReport(
+        tracks=tracks,
+        estimator=request.estimator,
+        modes=tuple(estimator.modes),
+        parameters=choice.parameters,
+        estimates=estimates,
+        scores=summary(estimates, tracks.truth, tracks.truth_velocity, tracks.lengths),
+        raw_scores=score_raw(tracks, estimates),
+        forecasts=forecasts,
+        seconds=seconds,
+        rejected=rejected,
+    )
 
 
 def _check_numbers(request: TrackRequest) -> None:
@@ -140,7 +181,8 @@ def _check_numbers(request: TrackRequest) -> None:
             )
 
 
-def _read(request: TrackRequest) -> Tracks:
+def read(request: TrackRequest) -> Tracks:
+    """The tracks of the requested file."""
     with progress(f"reading {request.file.name}"):
         return read_tracks(
             request.file,
@@ -159,10 +201,8 @@ def _read(request: TrackRequest) -> Tracks:
         )
 
 
-def _prepare(request: TrackRequest, tracks: Tracks) -> tuple[Any, tuple[Parameter, ...], bool]:
-    """The estimator, its parameters with their origins, and whether the file's own sigmas are used."""
-    from jink.estimators.recipes import make_estimator
-
+def choose(request: TrackRequest, tracks: Tracks) -> Choice:
+    """Sensor and scales: given, from the file, estimated from it, or a default."""
     plain = sensor_of(tracks)
     sigma = None if request.sigma is None else parse_sigma(request.sigma, plain)
     with progress("choosing noise and acceleration from the file") as advance:
@@ -184,20 +224,26 @@ def _prepare(request: TrackRequest, tracks: Tracks) -> tuple[Any, tuple[Paramete
     found.append(Parameter("speed", tuning.speed, "m/s", origin["speed"]))
     options: dict[str, Any] = {"acceleration": tuning.acceleration, "speed": tuning.speed}
     for name, unit in (("turn_rate", "rad/s"), ("sojourn", "s")):
-        value = getattr(request, name)
-        found.append(Parameter(name, value, unit, "default" if value is None else "given"))
-        if value is not None:
-            options[name] = value
-    estimator = make_estimator(request.estimator, sensor=sensor_of(tracks, tuning.sigma), **options)
-    return estimator, tuple(found), use_noise
+        value, source = getattr(request, name), "given"
+        if value is None and name == "sojourn":
+            # Shorter than some ten samples, an intent could not be told from noise.
+            value, source = max(_SOJOURN_S, 10.0 * _interval(tracks)), "default"
+        elif value is None:
+            value, source = min(tuning.acceleration / tuning.speed, 1.0), "default"
+        found.append(Parameter(name, value, unit, source))
+        options[name] = value
+    return Choice(sensor_of(tracks, tuning.sigma), options, tuple(found), use_noise)
+
+
+def _interval(tracks: Tracks) -> float:
+    """Median time between rows that differ in time; s; 0 without any."""
+    gaps = np.diff(tracks.times, axis=1)[tracks.used[:, 1:]]
+    gaps = gaps[gaps > 0]
+    return float(np.median(gaps)) if gaps.size else 0.0
 
 
 def score_raw(tracks: Tracks, estimates: Any) -> dict[str, float]:
     """Errors of the measurements themselves, on the rows where both they and the estimates are scored."""
-    import numpy as np
-
-    from jink.estimators.metrics import errors
-
     raw = raw_positions(tracks)
     if raw is None or tracks.truth is None:
         return {}

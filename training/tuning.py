@@ -29,7 +29,7 @@ DEFAULT_SPEED = 10.0
 _DOF = 4.0  # of the Student-t score: one gross outlier costs a few nats, however gross
 _RANGE = (1e-4, 1e3)  # of a sigma, against its rough guess
 _ACCELERATIONS = (1e-6, 1e6)  # m/s^2
-_STARTING, _DIVERGED = 4, 3
+_STARTING = 4
 
 
 class Tuning(NamedTuple):
@@ -90,7 +90,7 @@ def _consistency(dof: int) -> float:
 
 
 def robust_score(estimates: Any, used: NDArray[np.bool_]) -> float:
-    """Student-t log-likelihood of the innovations; nats per measured step; -inf where too little was followed.
+    """Student-t log-likelihood of the innovations; nats per measured step; -inf without any.
 
     Model: v ~ t_4(0, k S) with S the filter's innovation covariance and k such that Gaussian data are not
     pulled. Steps of the start carry no innovation and do not count.
@@ -101,7 +101,7 @@ def robust_score(estimates: Any, used: NDArray[np.bool_]) -> float:
     """
     dof = np.asarray(estimates.nis_dof)
     counted = used & (dof > 0) & (np.asarray(estimates.status) != _STARTING)
-    if not counted.any() or np.mean(np.asarray(estimates.status)[counted] == _DIVERGED) > 0.5:
+    if not counted.any():
         return -math.inf
     d, nis = dof[counted].astype(float), np.asarray(estimates.nis)[counted]
     log_det = -2.0 * np.asarray(estimates.log_likelihood)[counted] - nis - d * math.log(2 * math.pi)
@@ -161,6 +161,7 @@ def tune(
             np.array([values[group == g].max() for g in group]) for values in (rough, quantum)
         )
     sample, prior = _started(sample, sensor_of(tracks, rough), found_speed or DEFAULT_SPEED)
+    rough = np.maximum(rough, quantum) if free_sigma else rough
     low = np.maximum(quantum, _RANGE[0] * rough)
     names = tuple(n for n, f in (("sigma", free_sigma), ("acceleration", acceleration is None)) if f)
     active = np.array([free_sigma] * (int(group.max()) + 1) + [acceleration is None])
@@ -280,7 +281,9 @@ def _grid(
     fractions = (0.1, 0.3, 1.0) if free_sigma else (1.0,)
     # Tracking index a dt^2 / sigma: from a target that hardly turns to one that outruns its noise.
     indices = (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
-    accelerations = [index * scale / dt**2 for index in indices] if acceleration is None else [acceleration]
+    accelerations = [index * scale / dt**2 for index in indices] + [0.1, 1.0, 10.0]
+    if acceleration is not None:
+        accelerations = [acceleration]
     return [
         np.append(np.full(int(group.max()) + 1, math.log(fraction)), math.log(a))
         for fraction in fractions

@@ -1,0 +1,168 @@
+"""`jink bench`: cells computed once each, written as they finish, and the table made from the rows."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pandas as pd
+from rich.console import Console
+
+from jink.training.catalogue import SUITES
+from jink.training.console import check_writable, progress, say_when_compiling
+from jink.training.recorded_suite import ESTIMATORS, list_files, score_report
+from jink.training.rows import Cell, append_rows, commit, finished_cells, make_rows, now, read_rows
+from jink.training.tables import print_published, print_recorded
+from jink.training.track import choose, estimate, read
+
+__all__ = ["BenchRequest", "bench"]
+
+
+@dataclass(frozen=True)
+class BenchRequest:
+    """What the command line asked for; None means the suite's own choice."""
+
+    suite: str
+    quick: bool = False
+    out: Path | None = None
+    data: Path | None = None
+    runs: int | None = None
+    seed: int = 1
+
+
+class Job(NamedTuple):
+    """A cell and the function that computes its rows."""
+
+    cell: Cell
+    compute: Callable[[str], pd.DataFrame]
+
+
+def bench(request: BenchRequest, console: Console) -> int:
+    """Run a suite; what `out` already holds is not computed again.
+
+    Args:
+        request: what was asked for.
+        console: where the table goes.
+
+    Returns:
+        0, or 1 where a cell ended in an error.
+
+    Raises:
+        ValueError: an unknown suite, a refused option, or a file that holds something else.
+        OSError: the rows cannot be written.
+    """
+    if request.suite not in SUITES:
+        raise ValueError(f"--suite: name must be one of {', '.join(SUITES)}; got '{request.suite}'. See jink list.")
+    if request.runs is not None and request.runs < 1:
+        raise ValueError(f"--runs: value must be >= 1; got {request.runs}. Leave it out for the source's.")
+    if request.seed < 0:
+        raise ValueError(f"--seed: value must be >= 0; got {request.seed}. Use for example --seed 1.")
+    if request.suite == "recorded" and request.data is None:
+        raise ValueError("--data: folder must be given for the suite recorded; got none. Add --data DIR.")
+    check_writable(request.out, "--out", (".parquet",))
+    with ExitStack() as stack:
+        out = request.out or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "rows.parquet"
+        jobs = list(_published(request) if request.suite == "published" else _recorded(request))
+        done = finished_cells(read_rows(out))
+        todo = [job for job in jobs if job.cell not in done]
+        stack.enter_context(say_when_compiling())
+        advance = stack.enter_context(progress(request.suite, len(todo)))
+        for job in todo:
+            advance(0, f"{job.cell.scenario}: {job.cell.estimator}")
+            append_rows(out, _rows(job))
+            advance(1)
+        rows = read_rows(out)
+    wanted = {job.cell for job in jobs}
+    mine = [Cell(*key) in wanted for key in rows[list(Cell._fields)].itertuples(index=False, name=None)]
+    rows = rows[mine]
+    (print_published if request.suite == "published" else print_recorded)(console, rows)
+    if len(todo) < len(jobs):
+        console.print(f"{len(jobs) - len(todo)} of {len(jobs)} cells were already in {out.name}", markup=False)
+    if request.out is not None:
+        console.print(f"wrote {request.out}", markup=False)
+    return int((rows["status"] == "error").any())
+
+
+def _rows(job: Job) -> pd.DataFrame:
+    """Rows of a cell; what goes wrong in it becomes a row too, so that the others still run."""
+    started = now()
+    try:
+        return job.compute(started)
+    except (ValueError, ArithmeticError, OSError) as error:
+        return make_rows(job.cell, {}, status="error", reason=" ".join(str(error).split()), started=started)
+
+
+def _published(request: BenchRequest) -> Iterator[Job]:
+    from jink.training.published import PUBLISHED_CELLS, PublishedCell, published_values, run_cell
+
+    def compute(known: PublishedCell, cell: Cell, started: str) -> pd.DataFrame:
+        began = time.perf_counter()
+        outcome = run_cell(known, cell.runs, cell.seed)
+        compared = {
+            metric: (value.value, *(value.interval or (math.nan, math.nan)))
+            for metric, value in published_values(known).items()
+        }
+        lost = outcome.diverged / max(outcome.steps, 1)
+        return make_rows(
+            cell,
+            outcome.values,
+            status="diverged" if lost > 0.5 else "ok",
+            reason=f"{100 * lost:.0f} % of steps diverged" if lost > 0.5 else "",
+            published=compared,
+            parameters=outcome.parameters,
+            steps=outcome.steps,
+            seconds=time.perf_counter() - began,
+            started=started,
+        )
+
+    for known in PUBLISHED_CELLS:
+        # Compiling costs more than the source's own number of runs, so quick means fewer models, not fewer runs.
+        if request.quick and not published_values(known):
+            continue
+        runs = request.runs or known.runs
+        cell = Cell("published", known.scenario, known.estimator, runs, request.seed, commit())
+        yield Job(cell, lambda started, known=known, cell=cell: compute(known, cell, started))  # type: ignore[misc]
+
+
+def _recorded(request: BenchRequest) -> Iterator[Job]:
+    assert request.data is not None  # checked by `bench`
+    prepared: dict[str, Any] = {}
+
+    def compute(file: Any, cell: Cell, started: str) -> pd.DataFrame:
+        if file.request is None:
+            return make_rows(cell, {}, status="skipped", reason=file.reason, started=started)
+        if file.name not in prepared:
+            prepared.clear()  # one file in memory at a time
+            tracks = read(file.request)
+            prepared[file.name] = (tracks, choose(file.request, tracks))
+        tracks, choice = prepared[file.name]
+        name = "kf-cv" if cell.estimator == "raw" else cell.estimator
+        report = estimate(replace(file.request, estimator=name), tracks, choice)
+        values = score_report(None if cell.estimator == "raw" else report, report.raw_scores)
+        if not values:
+            reason = "rows do not locate the target" if tracks.truth is not None else "no truth to compare with"
+            return make_rows(cell, {}, status="skipped", reason=reason, started=started)
+        lost = report.scores["diverged_steps"] / max(report.scores["steps"], 1.0)
+        bad = lost > 0.5 and cell.estimator != "raw"
+        parameters = {p.name: p.value for p in choice.parameters} | {"gate": file.request.gate}
+        return make_rows(
+            cell,
+            values,
+            status="diverged" if bad else "ok",
+            reason=f"{100 * lost:.0f} % of steps diverged" if bad else "",
+            parameters=parameters,
+            steps=int(tracks.lengths.sum()),
+            seconds=report.seconds,
+            started=started,
+        )
+
+    for file in list_files(request.data):
+        for estimator in ESTIMATORS if file.request is not None else ("raw",):
+            cell = Cell("recorded", file.name, estimator, 1, 0, commit())
+            yield Job(cell, lambda started, file=file, cell=cell: compute(file, cell, started))  # type: ignore[misc]

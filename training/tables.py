@@ -1,0 +1,107 @@
+"""Tables of the suites, made from rows only."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pandas as pd
+from rich.console import Console
+from rich.markup import escape
+
+from jink.training.recorded_suite import ESTIMATORS
+from jink.training.summary import number, plain_table
+
+__all__ = ["print_published", "print_recorded"]
+
+
+def print_published(console: Console, rows: pd.DataFrame) -> None:
+    """Ours beside the published numbers, then scenarios without any, estimators side by side."""
+    ok = rows[rows["metric"] != ""]
+    known = ok[ok["published"].notna()]
+    table = plain_table(
+        "scenario", "estimator", "metric", "ours", "published", "difference", "unit", "runs",
+        title="published results", words=3,
+    )  # fmt: skip
+    last = ""
+    for row in known.itertuples():
+        spread = ""
+        if not math.isnan(_number(row.published_high)):
+            spread = f" ±{(_number(row.published_high) - _number(row.published_low)) / 2:.2g}"
+        published, value = _number(row.published), _number(row.value)
+        table.add_row(
+            str(row.scenario) if row.scenario != last else "",
+            str(row.estimator),
+            str(row.metric),
+            number(value),
+            number(published) + spread,
+            f"{100 * (value / published - 1):+.1f} %",
+            str(row.unit),
+            str(row.runs),
+        )
+        last = str(row.scenario)
+    if len(known):
+        console.print(table)
+    others = ok[ok["published"].isna() & (ok["metric"] == "position_rms")]
+    if len(others):
+        pivot = others.pivot_table(index="scenario", columns="estimator", values="value", sort=False)
+        table = plain_table(
+            "scenario", *map(str, pivot.columns), title="position error without published numbers, m"
+        )
+        for scenario, values in pivot.iterrows():
+            table.add_row(str(scenario), *(number(float(value)) for value in values))
+        console.print(table)
+    _print_reasons(console, rows)
+
+
+def print_recorded(console: Console, rows: pd.DataFrame) -> None:
+    """Errors where there is truth; log-likelihood and NIS of one-step predictions elsewhere."""
+    with_truth = set(rows.loc[rows["metric"] == "position_rmse", "scenario"])
+    _print_grid(
+        console,
+        rows[rows["scenario"].isin(with_truth)],
+        "position error against truth, m: root mean square (median)",
+        ESTIMATORS,
+        ("position_rmse", "position_median"),
+    )
+    _print_grid(
+        console,
+        rows[~rows["scenario"].isin(with_truth)],
+        "one-step prediction: log-likelihood per step, nat (NIS per component)",
+        ESTIMATORS[1:],
+        ("log_likelihood_per_step", "nis_per_component"),
+    )
+    skipped = rows[(rows["status"] == "skipped") & ~rows["scenario"].isin(set(rows.loc[rows["status"] == "ok", "scenario"]))]
+    for reason, group in skipped.groupby("reason", sort=False):
+        names = ", ".join(dict.fromkeys(map(str, group["scenario"])))
+        console.print(f"skipped, {escape(str(reason))}: {escape(names)}", style="dim")
+    _print_reasons(console, rows)
+
+
+def _print_grid(
+    console: Console, rows: pd.DataFrame, title: str, estimators: tuple[str, ...], metrics: tuple[str, str]
+) -> None:
+    values = rows[rows["metric"].isin(metrics)]
+    if values.empty:
+        return
+    table = plain_table("file", *estimators, title=title)
+    cells = {
+        (row.scenario, row.estimator, row.metric): _number(row.value) for row in values.itertuples()
+    }
+    for scenario in dict.fromkeys(values["scenario"]):
+        shown = []
+        for estimator in estimators:
+            first, second = (cells.get((scenario, estimator, metric)) for metric in metrics)
+            shown.append("-" if first is None else f"{number(first)} ({number(second, 3)})")
+        table.add_row(escape(str(scenario)), *shown)
+    console.print(table)
+
+
+def _print_reasons(console: Console, rows: pd.DataFrame) -> None:
+    for status, style in (("diverged", "yellow"), ("error", "red")):
+        for row in rows[rows["status"] == status].drop_duplicates(["scenario", "estimator"]).itertuples():
+            console.print(f"{status}: {row.scenario}, {row.estimator}: {row.reason}", style=style, markup=False)
+
+
+def _number(value: Any) -> float:
+    return float(value)
