@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -173,7 +174,9 @@ class BankEstimator:
         parts = []
         for begin in range(0, tracks, chunk):
             part = _tracks(inputs, begin, min(begin + chunk, tracks))
-            _, outputs, history = self._filter(part, _prior_part(prior, begin, begin + part.measurements.shape[0]), True, progress)
+            _, outputs, history = self._filter(
+                part, _prior_part(prior, begin, begin + part.measurements.shape[0]), True, progress
+            )
             self._parallel(
                 lambda low, high, part=part, outputs=outputs, history=history: smooth_tracks(  # type: ignore[misc]
                     self._handle.handle, self._work(), self._smoother(), history, outputs, part, low, high
@@ -246,7 +249,16 @@ class BankEstimator:
                 f"step: measurement must have shape ({size},), noise ({size}, {size}), sensor_state ({kin},); got "
                 f"{z.shape}, {R.shape}, {sensor.shape}. One row at a time."
             )
-        following = State(*(field.copy() for field in state))
+        following = State(
+            state.mean.copy(),
+            state.cov.copy(),
+            state.mode_probs.copy(),
+            state.kin_mean.copy(),
+            state.kin_cov.copy(),
+            state.nis_average.copy(),
+            state.time.copy(),
+            state.phase.copy(),
+        )
         outputs = make_outputs(1, 1, kin, len(self.bank.modes))
         inputs = Inputs(
             np.array([[time]], dtype=np.float64),
@@ -272,9 +284,7 @@ class BankEstimator:
             outputs.status[0, 0],
         )
 
-    def forecast(
-        self, state: State, horizon: float, *, weights: str = "W1", steps: int = 1
-    ) -> tuple[Floats, Floats]:
+    def forecast(self, state: State, horizon: float, *, weights: str = "W1", steps: int = 1) -> tuple[Floats, Floats]:
         """Position ``horizon`` seconds ahead.
 
         Args:
@@ -478,7 +488,7 @@ class BankEstimator:
             return
         pieces = threads if progress is None else max(threads, min(tracks, 50))
         bounds = np.linspace(0, tracks, pieces + 1).astype(int)
-        ranges = [(int(low), int(high)) for low, high in zip(bounds[:-1], bounds[1:], strict=True) if high > low]
+        ranges = [(int(low), int(high)) for low, high in pairwise(bounds) if high > low]
         if threads <= 1 or tracks * rows < _PARALLEL_ROWS:
             for low, high in ranges:
                 work(low, high)

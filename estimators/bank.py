@@ -55,7 +55,8 @@ class Bank:
     Raises:
         ValueError: parts that do not fit; the sentence names them.
 
-    Source: Blom & Bar-Shalom (1988); CN202211553542 claims 1-6 (own state per mode). Differs: births, see DESIGN.
+    Source: Blom & Bar-Shalom (1988); CN202211553542 claims 1-6 (own state per mode). Differs: the patent's
+    filters are separate; births are ours.
     """
 
     modes: tuple[Mode, ...]

@@ -54,9 +54,7 @@ def _matrix(caller: str, name: str, value: ArrayLike, shape: tuple[int, ...]) ->
     array = np.asarray(value, dtype=np.float64)
     if array.shape != shape or not np.isfinite(array).all():
         got = array.shape if array.shape != shape else "values that are not finite"
-        raise ValueError(
-            f"{caller}: {name} must be finite with shape {shape}; got {got}. Check the model's sizes."
-        )
+        raise ValueError(f"{caller}: {name} must be finite with shape {shape}; got {got}. Check the model's sizes.")
     return array
 
 
@@ -138,9 +136,7 @@ def riccati_bound(
     R = _sequence(caller, "measurement_noise", measurement_noise, count, (d, d))
     seen = np.ones(count, dtype=np.bool_) if detected is None else np.asarray(detected, dtype=np.bool_)
     if seen.shape != (count,):
-        raise ValueError(
-            f"{caller}: detected must have shape ({count},); got {seen.shape}. Give one flag per step."
-        )
+        raise ValueError(f"{caller}: detected must have shape ({count},); got {seen.shape}. Give one flag per step.")
     out = np.empty((count, n, n))
     shift = int(predict_first)
     for k in range(count):
@@ -154,9 +150,7 @@ def riccati_bound(
     return out
 
 
-def information_recursion(
-    prior_information: ArrayLike, d11: ArrayLike, d12: ArrayLike, d22: ArrayLike
-) -> Floats:
+def information_recursion(prior_information: ArrayLike, d11: ArrayLike, d12: ArrayLike, d22: ArrayLike) -> Floats:
     """Posterior information from given D matrices.
 
     Model: J_{k+1} = D22_k - D21_k (J_k + D11_k)^-1 D12_k with D21 = D12'; D22 includes the new measurement.
@@ -217,9 +211,7 @@ def monte_carlo_bound(
     caller = "monte_carlo_bound"
     x = np.asarray(states, dtype=np.float64)
     if x.ndim != 3 or not np.isfinite(x).all() or min(x.shape) < 1:
-        raise ValueError(
-            f"{caller}: states must be finite with shape (R, T, N); got {x.shape}. Simulate truth first."
-        )
+        raise ValueError(f"{caller}: states must be finite with shape (R, T, N); got {x.shape}. Simulate truth first.")
     runs, count, n = x.shape
     P0 = _matrix(caller, "prior_cov", prior_cov, (n, n))
     d = np.shape(measurement_noise)[-1]

@@ -25,7 +25,18 @@ from numba import cfunc, njit, types
 from numba.core import config
 from numba.extending import intrinsic
 
-__all__ = ["ASSEMBLE", "Callback", "KINEMATICS", "NOISE", "OBSERVE", "OWN", "TRANSITION", "entry_kernel", "inner_kernel", "kernel"]
+__all__ = [
+    "ASSEMBLE",
+    "KINEMATICS",
+    "NOISE",
+    "OBSERVE",
+    "OWN",
+    "TRANSITION",
+    "Callback",
+    "entry_kernel",
+    "inner_kernel",
+    "kernel",
+]
 
 if "NUMBA_SLP_VECTORIZE" not in os.environ:  # off in Numba by default; halves the time of the 4-column blocks
     config.SLP_VECTORIZE = 1

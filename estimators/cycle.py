@@ -18,7 +18,20 @@ from jink.estimators.program import RESET, program_at, work_at
 from jink.estimators.reference import by_reference, record_type
 from jink.estimators.status import DIVERGED, MISSING, OK, REPAIRED, STARTING
 
-__all__ = ["DIVERGED", "MISSING", "OK", "REPAIRED", "STARTING", "History", "Inputs", "Outputs", "State", "advance", "make_outputs", "make_state"]
+__all__ = [
+    "DIVERGED",
+    "MISSING",
+    "OK",
+    "REPAIRED",
+    "STARTING",
+    "History",
+    "Inputs",
+    "Outputs",
+    "State",
+    "advance",
+    "make_outputs",
+    "make_state",
+]
 
 
 PRIOR, RUNNING, LOCATED = range(3)
@@ -267,7 +280,7 @@ def fuse(program, work, mean, cov, probs, kin_mean, kin_cov):
 
 @piece(types.boolean, PROGRAM, WORK, MATRIX, STACK, VECTOR, VECTOR)
 def _restart_poor_modes(program, work, mean, cov, probs, nis_average):
-    """Rule ``reset``: a mode that lost is begun again from the best one (EQUATIONS 1.6, I1)."""
+    """Rule ``reset``: a mode that lost is begun again from the best one."""
     modes = probs.size
     best = 0
     for j in range(modes):
@@ -296,7 +309,7 @@ def _restart_poor_modes(program, work, mean, cov, probs, nis_average):
 def step(program, work, state, inputs, outputs, b, t):
     """Interaction, prediction, update, probabilities and fusion for track ``b`` at row ``t``.
 
-    Source: Blom & Bar-Shalom (1988), EQUATIONS 0.3. Differs: logs, unlike states, partial and missing measurements
+    Source: Blom & Bar-Shalom (1988). Differs: logs, unlike states, partial and missing measurements
     (which leave probabilities at their prediction), and a status instead of an exception.
     """
     modes = program.sizes.size
@@ -398,13 +411,20 @@ def _write(state, outputs, history, b, t):
 def advance(program_handle, work_handle, state, inputs, outputs, history, begin, end):
     """Run tracks ``begin`` to ``end`` through all their rows, writing into ``state``, ``outputs`` and ``history``."""
     program, work = program_at(program_handle), work_at(work_handle)
-    states, rows, results, kept = by_reference(state), by_reference(inputs), by_reference(outputs), by_reference(history)
+    states, rows, results, kept = (
+        by_reference(state),
+        by_reference(inputs),
+        by_reference(outputs),
+        by_reference(history),
+    )
     for b in range(begin, end):
         for j in range(work.cached_dt.size):
             work.cached_dt[j] = np.nan
         for t in range(inputs.first[b], inputs.lengths[b]):
             if state.phase[b] == LOCATED:
-                fuse(program, work, state.mean[b], state.cov[b], state.mode_probs[b], state.kin_mean[b], state.kin_cov[b])
+                fuse(
+                    program, work, state.mean[b], state.cov[b], state.mode_probs[b], state.kin_mean[b], state.kin_cov[b]
+                )
                 outputs.status[b, t] = STARTING
                 state.phase[b] = RUNNING
             else:

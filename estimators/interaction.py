@@ -6,7 +6,6 @@ the old mode's estimate expressed in the receiving mode's components.
 
 from __future__ import annotations
 
-import numpy as np
 from numba import types
 
 from jink.estimators.compiled import call_assemble, call_own, call_transition, inner_kernel
@@ -60,9 +59,7 @@ def own_prior(program, p, m, P, born, mean, cov):
     for k in range(program.own_counts[p]):
         mean[k] = program.birth_mean[p, k] if born else m[program.own_index[p, k]]
         for i in range(program.own_counts[p]):
-            cov[k, i] = (
-                program.birth_cov[p, k, i] if born else P[program.own_index[p, k], program.own_index[p, i]]
-            )
+            cov[k, i] = program.birth_cov[p, k, i] if born else P[program.own_index[p, k], program.own_index[p, i]]
 
 
 @inner_kernel
@@ -94,7 +91,7 @@ def convert(program, work, p, q, m, P, own_mean, own_cov, near, m_out, P_out):
 
     Model: ``c = Gamma_p(J_q(x), own)`` with ``x ~ N(m, P)`` and independent ``own ~ N(own_mean, own_cov)``.
     Angles are averaged around ``near``, the receiving mode's own state.
-    Source: EQUATIONS 1.6, I2. Differs: own parameters that the jet determines are computed, others are drawn.
+    Source: Yuan et al. (2012), Granstrom et al. (2015) for unequal states. Differs: own parameters that the jet determines are computed, others are drawn.
     """
     n = program.sizes[q]
     size = program.sizes[p]
@@ -108,9 +105,7 @@ def convert(program, work, p, q, m, P, own_mean, own_cov, near, m_out, P_out):
                 anchor = near[i] if s == 0 else work.moved[0, i]
                 work.moved[s, i] = anchor + wrap_angle(work.moved[s, i] - anchor)
     joint = n + program.drawn[p, q]
-    _, centre, other = point_weights(
-        joint, program.tuning[0], program.tuning[1], program.tuning[2]
-    )
+    _, centre, other = point_weights(joint, program.tuning[0], program.tuning[1], program.tuning[2])
     points_mean(work.moved, count, size, other, m_out)
     for i in range(size):
         for k in range(P_out.shape[1]):
@@ -218,7 +213,7 @@ def interact(program, work, mean, cov, probs):
     Model: ``cbar_p = sum_q Pi[q, p] mu_q``; weights ``mu_q|p = Pi[q, p] mu_q / cbar_p``; mode ``p`` starts from the
     moments of the mixture of all converted states. With rules ``none`` and ``reset`` it starts from its own.
     Fills ``work.prior`` (M,), ``work.mixed_mean``, ``work.mixed_cov``; returns whether all went well.
-    Source: Blom & Bar-Shalom (1988); EQUATIONS 0.3, 1.6; births DESIGN 5. Differs: unlike states are converted.
+    Source: Blom & Bar-Shalom (1988). Differs: unlike states are converted first; births are ours.
     """
     modes = program.sizes.size
     good = True
@@ -249,9 +244,7 @@ def interact(program, work, mean, cov, probs):
         for q in range(modes):
             if work.weights[q] > 0.0:
                 if program.gathered[p, q]:
-                    _gather(
-                        program, p, q, mean[q], cov[q], mean[p], cov[p], born, work.part_mean[q], work.part_cov[q]
-                    )
+                    _gather(program, p, q, mean[q], cov[q], mean[p], cov[p], born, work.part_mean[q], work.part_cov[q])
                 else:
                     own_prior(program, p, mean[p], cov[p], born, work.own_mean, work.own_cov)
                     good = (

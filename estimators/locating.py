@@ -70,9 +70,7 @@ def _from_polar(polar: Array, noise: Array, origin: Array) -> Location | None:
         places = np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=1)
     else:
         ground = distance * np.cos(samples[:, 2])
-        places = np.stack(
-            [ground * np.cos(angle), ground * np.sin(angle), distance * np.sin(samples[:, 2])], axis=1
-        )
+        places = np.stack([ground * np.cos(angle), ground * np.sin(angle), distance * np.sin(samples[:, 2])], axis=1)
     mean = weights @ places
     deviations = places - mean
     return checked_location(origin + mean, (weights[:, None] * deviations).T @ deviations)

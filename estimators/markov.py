@@ -129,7 +129,11 @@ class MarkovChain:
         if rates.ndim != 2 or rates.shape[0] != rates.shape[1]:
             raise ValueError(f"MarkovChain: generator must be square (M, M); got {rates.shape}. One row per mode.")
         off = rates - np.diag(np.diag(rates))
-        if not np.all(np.isfinite(rates)) or np.any(off < 0) or np.any(np.abs(rates.sum(axis=1)) > 1e-9 * (1 + off.max(initial=0.0))):
+        if (
+            not np.all(np.isfinite(rates))
+            or np.any(off < 0)
+            or np.any(np.abs(rates.sum(axis=1)) > 1e-9 * (1 + off.max(initial=0.0)))
+        ):
             raise ValueError(
                 "MarkovChain: generator must have off-diagonal rates >= 0 and rows that sum to 0; got "
                 f"{rates.tolist()}. Put minus the sum of the other rates on the diagonal."
@@ -153,7 +157,9 @@ class MarkovChain:
         """
         times = np.asarray(sojourns, dtype=np.float64)
         if times.ndim != 1 or not np.all(times > 0):
-            raise ValueError(f"from_sojourns: sojourns must be > 0 s, one per mode; got {list(sojourns)}. Give seconds.")
+            raise ValueError(
+                f"from_sojourns: sojourns must be > 0 s, one per mode; got {list(sojourns)}. Give seconds."
+            )
         count = len(times)
         if targets is None:
             jump = (np.ones((count, count)) - np.eye(count)) / max(count - 1, 1)

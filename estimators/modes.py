@@ -49,9 +49,13 @@ def process_noise(program, work, j, x, dt, Q):
                 for i in range(n):
                     work.points[0, i] = x[i]
                 work.points[0, c] = x[c] + step
-                call_transition(program.transition[j], work.points[0, :n], duration, program.params[j], work.moved[0, :n])
+                call_transition(
+                    program.transition[j], work.points[0, :n], duration, program.params[j], work.moved[0, :n]
+                )
                 work.points[0, c] = x[c] - step
-                call_transition(program.transition[j], work.points[0, :n], duration, program.params[j], work.moved[1, :n])
+                call_transition(
+                    program.transition[j], work.points[0, :n], duration, program.params[j], work.moved[1, :n]
+                )
                 scale = dt * _NODE_WEIGHTS[node] * density / (4.0 * step * step)
                 for i in range(n):
                     slope = work.moved[0, i] - work.moved[1, i]

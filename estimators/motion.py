@@ -50,7 +50,8 @@ class Motion:
     Raises:
         ValueError: the parts do not fit together; the sentence says which.
 
-    Source: EQUATIONS 1.2, 1.6 (jet map and its inverse). Differs: the jet's own parameters are explicit.
+    Source: CN202211553542 claims 4-6 (a state of motion parameters per intent); Yuan et al. (2012), unbiased mixing
+    of unequal states. Differs: the parameters that kinematics leave open are named (``own``).
     """
 
     name: str

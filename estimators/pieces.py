@@ -63,7 +63,7 @@ def piece(returns: Any, *arguments: Any) -> Callable[[Callable[..., Any]], Any]:
         names = [f"a{i}" for i in range(len(arguments))]
         namespace: dict[str, Any] = {"resolve": lambda given: (_signature(returns, arguments, given), codegen)}
         source = f"def {function.__name__}(context, {', '.join(names)}):\n    return resolve(({', '.join(names)},))\n"
-        exec(source, namespace)  # noqa: S102  (an intrinsic must spell out its arguments; all text is ours)
+        exec(source, namespace)
         return intrinsic(namespace[function.__name__])
 
     return decorate

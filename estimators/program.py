@@ -12,7 +12,20 @@ from jink.estimators.pieces import PROGRAM, WORK, piece_addresses
 from jink.estimators.reference import record_type, reference_reader
 from jink.estimators.sensor import Sensor
 
-__all__ = ["BIRTH", "INTERACTIONS", "JET", "MIX", "NONE", "RESET", "Program", "Work", "make_program", "make_work", "program_at", "work_at"]
+__all__ = [
+    "BIRTH",
+    "INTERACTIONS",
+    "JET",
+    "MIX",
+    "NONE",
+    "RESET",
+    "Program",
+    "Work",
+    "make_program",
+    "make_work",
+    "program_at",
+    "work_at",
+]
 
 NONE, MIX, BIRTH, JET, RESET = range(5)
 INTERACTIONS = {"none": NONE, "mix": MIX, "birth": BIRTH, "jet": JET, "reset": RESET}

@@ -114,6 +114,4 @@ def see_range_bearing_elevation_rate(kin: Array, sensor: Array, params: Array, o
     out[2] = math.atan2(dz, ground)
     out[3] = 0.0
     if distance > 0.0:
-        out[3] = (
-            dx * (kin[3] - sensor[3]) + dy * (kin[4] - sensor[4]) + dz * (kin[5] - sensor[5])
-        ) / distance
+        out[3] = (dx * (kin[3] - sensor[3]) + dy * (kin[4] - sensor[4]) + dz * (kin[5] - sensor[5])) / distance

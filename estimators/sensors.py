@@ -72,9 +72,7 @@ def range_bearing(sigma: Sequence[float] = (1.0, 0.01)) -> Sensor:
     Raises:
         ValueError: ``sigma`` out of range.
     """
-    return from_components(
-        "range-bearing", ("range", "bearing"), 2, sensing.see_range_bearing, sigma, locate_polar
-    )
+    return from_components("range-bearing", ("range", "bearing"), 2, sensing.see_range_bearing, sigma, locate_polar)
 
 
 def range_bearing_elevation(sigma: Sequence[float] = (1.0, 0.01, 0.01)) -> Sensor:
@@ -102,9 +100,7 @@ def range_bearing_rate(sigma: Sequence[float] = (1.0, 0.01, 0.1)) -> Sensor:
         ValueError: ``sigma`` out of range.
     """
     labels = ("range", "bearing", "range rate")
-    return from_components(
-        "range-bearing-rate", labels, 2, sensing.see_range_bearing_rate, sigma, locate_polar
-    )
+    return from_components("range-bearing-rate", labels, 2, sensing.see_range_bearing_rate, sigma, locate_polar)
 
 
 def range_bearing_elevation_rate(sigma: Sequence[float] = (1.0, 0.01, 0.01, 0.1)) -> Sensor:
@@ -135,9 +131,7 @@ def bearing(sigma: float | Sequence[float] = 0.01, range_prior: Sequence[float] 
     return from_angles("bearing", ("bearing",), 2, sensing.see_bearing, sigma, range_prior)
 
 
-def bearing_elevation(
-    sigma: float | Sequence[float] = 0.01, range_prior: Sequence[float] | None = None
-) -> Sensor:
+def bearing_elevation(sigma: float | Sequence[float] = 0.01, range_prior: Sequence[float] | None = None) -> Sensor:
     """Bearing and elevation in space (camera, infrared), from the sensor's place.
 
     Args:
@@ -204,9 +198,7 @@ def range_rate(axes: int = 2, sigma: float | Sequence[float] = 0.1) -> Sensor:
     """
     check_axes("range_rate", axes, (2, 3))
     sigmas = check_sigmas("range_rate", sigma, ("range rate",), ("m/s",))
-    return Sensor(
-        "range-rate", ("range rate",), ("m/s",), axes, Callback(sensing.see_range_rate, OBSERVE), sigmas
-    )
+    return Sensor("range-rate", ("range rate",), ("m/s",), axes, Callback(sensing.see_range_rate, OBSERVE), sigmas)
 
 
 def range_range_rate(axes: int = 2, sigma: Sequence[float] = (0.1, 0.1)) -> Sensor:
@@ -220,9 +212,7 @@ def range_range_rate(axes: int = 2, sigma: Sequence[float] = (0.1, 0.1)) -> Sens
         ValueError: ``axes`` or ``sigma`` out of range.
     """
     check_axes("range_range_rate", axes, (2, 3))
-    return from_components(
-        "range-range-rate", ("range", "range rate"), axes, sensing.see_range_range_rate, sigma, None
-    )
+    return from_components("range-range-rate", ("range", "range rate"), axes, sensing.see_range_range_rate, sigma, None)
 
 
 SENSORS: dict[str, Callable[..., Sensor]] = {
@@ -256,9 +246,7 @@ def make_sensor(name: str, **options: Any) -> Sensor:
     """
     factory = SENSORS.get(str(name).replace("_", "-"))
     if factory is None:
-        raise ValueError(
-            f"make_sensor: name must be a known sensor; got {name!r}. Use one of {', '.join(SENSORS)}."
-        )
+        raise ValueError(f"make_sensor: name must be a known sensor; got {name!r}. Use one of {', '.join(SENSORS)}.")
     signature = inspect.signature(factory)
     try:
         signature.bind(**options)

@@ -39,6 +39,7 @@ from jink.estimators.unscented import point_weights, points_mean
 
 __all__ = ["Smoother", "make_smoother", "smooth_tracks"]
 
+
 class Smoother(NamedTuple):
     """Scratch of the smoother; pairs are indexed (mode at k, mode at k + 1)."""
 

@@ -188,9 +188,7 @@ def start_batch(
 
 def _checked_prior(axes: int, speed: float, area: Area | None) -> tuple[Array, float] | None:
     if not (np.isfinite(speed) and speed > 0):
-        raise ValueError(
-            f"start_prior: speed must be > 0 and finite; got {speed!r}. Give a typical speed in m/s."
-        )
+        raise ValueError(f"start_prior: speed must be > 0 and finite; got {speed!r}. Give a typical speed in m/s.")
     if area is None:
         return None
     centre, sd = np.asarray(area[0], dtype=np.float64), float(area[1])

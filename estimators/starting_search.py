@@ -57,15 +57,11 @@ def _directions(axes: int) -> list[list[float]]:
     if axes == 2:
         # Off the axes: a start exactly on a mirror line of the anchors would never leave it.
         return [[math.cos(0.1 + k * math.pi / 6), math.sin(0.1 + k * math.pi / 6)] for k in range(12)]
-    corners = [
-        corner for corner in itertools.product((-1.0, 0.05, 1.03), repeat=3) if math.hypot(*corner) > 0.5
-    ]
+    corners = [corner for corner in itertools.product((-1.0, 0.05, 1.03), repeat=3) if math.hypot(*corner) > 0.5]
     return [[value / math.hypot(*corner) for value in corner] for corner in corners]
 
 
-def judge(
-    window: Window, solutions: Array, costs: Array, information: Array, last: bool
-) -> tuple[Array, Array] | None:
+def judge(window: Window, solutions: Array, costs: Array, information: Array, last: bool) -> tuple[Array, Array] | None:
     """Mean (2 A,) and covariance (2 A, 2 A) of the best solution if it is good enough to start from."""
     axes = window.sensor.axes
     best = int(np.argmin(costs))

@@ -135,12 +135,8 @@ class Tracks:
             "intents",
             "sensor_ids",
         )
-        changed = {
-            name: value[positions, :T] for name in arrays if (value := getattr(self, name)) is not None
-        }
-        return replace(
-            self, ids=tuple(self.ids[b] for b in positions), lengths=self.lengths[positions], **changed
-        )
+        changed = {name: value[positions, :T] for name in arrays if (value := getattr(self, name)) is not None}
+        return replace(self, ids=tuple(self.ids[b] for b in positions), lengths=self.lengths[positions], **changed)
 
     def _position(self, which: int | str | np.int64) -> int:
         if isinstance(which, str):
@@ -150,8 +146,7 @@ class Tracks:
             return self.ids.index(which)
         if not -len(self) <= int(which) < len(self):
             raise ValueError(
-                f"Tracks.subset: which must lie in 0..{len(self) - 1}; got {which}. There are {len(self)} "
-                f"tracks."
+                f"Tracks.subset: which must lie in 0..{len(self) - 1}; got {which}. There are {len(self)} tracks."
             )
         return int(which) % len(self)
 

@@ -13,13 +13,10 @@ if TYPE_CHECKING:
 def check_shapes(tracks: Tracks) -> None:
     """Refuse arrays whose shapes do not fit each other."""
     if tracks.axes not in (1, 2, 3):
-        raise ValueError(
-            f"Tracks: axes must be 1, 2 or 3; got {tracks.axes}. Use the target's space dimensions."
-        )
+        raise ValueError(f"Tracks: axes must be 1, 2 or 3; got {tracks.axes}. Use the target's space dimensions.")
     if tracks.times.ndim != 2:
         raise ValueError(
-            f"Tracks: times must have shape (B, T); got {tracks.times.shape}. Use Tracks.from_arrays for "
-            f"single tracks."
+            f"Tracks: times must have shape (B, T); got {tracks.times.shape}. Use Tracks.from_arrays for single tracks."
         )
     B, T = tracks.times.shape
     if tracks.measurements.ndim != 3 or tracks.measurements.shape[:2] != (B, T):

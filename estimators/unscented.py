@@ -20,7 +20,7 @@ def point_weights(n, alpha, beta, kappa):
 
     Model: ``lambda = alpha^2 (n + kappa) - n``; ``w0m = lambda / (n + lambda)``, ``w0c = w0m + 1 - alpha^2 + beta``,
     ``wi = 1 / (2 (n + lambda))``, radius ``sqrt(n + lambda)``.
-    Source: Wan & van der Merwe (2000), EQUATIONS 1.3 A2-A4. Differs: none.
+    Source: Wan & van der Merwe (2000); CN202211553542 claim 3, A2-A4. Differs: none.
     """
     spread = alpha * alpha * (n + kappa)
     return np.sqrt(spread), (spread - n) / spread + 1.0 - alpha * alpha + beta, 0.5 / spread
@@ -66,7 +66,7 @@ def unscented_predict(transition, params, dt, m, P, Q, n, tuning, upper, points,
         upper, points, moved, scaled: scratch (n, n), (2 n + 1, n) three times.
         m_out, P_out: prediction; must not overlap ``m``, ``P``.
 
-    Source: Julier & Uhlmann (2004), EQUATIONS 1.3 A2-A6. Differs: mean taken about the centre point (less rounding).
+    Source: Julier & Uhlmann (2004); CN202211553542 claim 3, A2-A6. Differs: mean taken about the centre point (less rounding).
     """
     good = cholesky(P, n, upper)
     radius, centre, other = point_weights(n, tuning[0], tuning[1], tuning[2])

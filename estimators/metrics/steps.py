@@ -28,8 +28,7 @@ def check_shape(caller: str, name: str, array: NDArray[Any], shape: tuple[int, .
     """Refuse an array of another shape than `shape`."""
     if array.shape != shape:
         raise ValueError(
-            f"{caller}: {name} must have shape {shape}; got {array.shape}. "
-            "Give both for the same tracks and times."
+            f"{caller}: {name} must have shape {shape}; got {array.shape}. Give both for the same tracks and times."
         )
 
 
@@ -39,9 +38,7 @@ def check_level(caller: str, level: float) -> None:
         raise ValueError(f"{caller}: level must lie in (0, 1); got {level}. Use 0.95 for a 95 % band.")
 
 
-def step_mask(
-    shape: tuple[int, int], lengths: ArrayLike | None = None, mask: ArrayLike | None = None
-) -> Bools:
+def step_mask(shape: tuple[int, int], lengths: ArrayLike | None = None, mask: ArrayLike | None = None) -> Bools:
     """Steps that belong to a track and are asked for.
 
     Args:
@@ -67,8 +64,7 @@ def step_mask(
         given = np.asarray(mask, dtype=np.bool_)
         if given.shape not in (shape, shape[1:]):
             raise ValueError(
-                f"step_mask: mask must have shape {shape} or {shape[1:]}; got {given.shape}. "
-                "Give one boolean per step."
+                f"step_mask: mask must have shape {shape} or {shape[1:]}; got {given.shape}. Give one boolean per step."
             )
         keep &= given
     return keep

@@ -44,9 +44,7 @@ def switch_delays(
     Source: the definition is ours.
     """
     if threshold is not None and not 0.0 < threshold <= 1.0:
-        raise ValueError(
-            f"switch_delays: threshold must lie in (0, 1]; got {threshold}. Use None for the top mode."
-        )
+        raise ValueError(f"switch_delays: threshold must lie in (0, 1]; got {threshold}. Use None for the top mode.")
     probs = as_tracks("switch_delays", "mode_probs", mode_probs, 3)
     modes = as_tracks("switch_delays", "true_modes", true_modes, 2)
     clock = np.asarray(times, dtype=np.float64)

@@ -17,9 +17,7 @@ def add_pair(out: np.ndarray, i: int, j: int, value: float) -> None:
 
 
 @kernel
-def add_outer(
-    out: np.ndarray, i: int, j: int, ux: float, uy: float, first: float, cross: float, second: float
-) -> None:
+def add_outer(out: np.ndarray, i: int, j: int, ux: float, uy: float, first: float, cross: float, second: float) -> None:
     """Add ``first u u' + cross (u n' + n u') + second n n'`` at rows i, j; ``n`` is ``u`` turned left."""
     out[i, i] += first * ux * ux - 2.0 * cross * ux * uy + second * uy * uy
     out[j, j] += first * uy * uy + 2.0 * cross * ux * uy + second * ux * ux
@@ -27,9 +25,7 @@ def add_outer(
 
 
 @kernel
-def fill_three(
-    out: np.ndarray, i: int, pp: float, pv: float, pa: float, vv: float, va: float, aa: float
-) -> None:
+def fill_three(out: np.ndarray, i: int, pp: float, pv: float, pa: float, vv: float, va: float, aa: float) -> None:
     """Write one symmetric 3 by 3 block at row ``i``."""
     out[i, i] = pp
     out[i, i + 1] = pv

@@ -39,9 +39,7 @@ _VELOCITY = Callback(_velocity_transition, TRANSITION)
 _VELOCITY_NOISE = Callback(_velocity_noise, NOISE)
 
 
-def constant_velocity(
-    axes: int = 2, *, acceleration_density: float = 1.0, held_acceleration: float = 0.0
-) -> Motion:
+def constant_velocity(axes: int = 2, *, acceleration_density: float = 1.0, held_acceleration: float = 0.0) -> Motion:
     """Straight flight at constant speed, disturbed by white acceleration.
 
     Model: ``p' = v, v' = w`` per axis; ``Q = q [dt^3/3, dt^2/2; dt^2/2, dt]``, plus ``G G' sigma_a^2`` with
@@ -89,9 +87,7 @@ def _acceleration_transition(x: np.ndarray, dt: float, params: np.ndarray, out: 
 def _acceleration_noise(x: np.ndarray, dt: float, params: np.ndarray, out: np.ndarray) -> None:
     q = params[0] * dt
     for i in range(0, x.size, 3):
-        fill_three(
-            out, i, q * dt**4 / 20.0, q * dt**3 / 8.0, q * dt * dt / 6.0, q * dt * dt / 3.0, q * dt / 2.0, q
-        )
+        fill_three(out, i, q * dt**4 / 20.0, q * dt**3 / 8.0, q * dt * dt / 6.0, q * dt * dt / 3.0, q * dt / 2.0, q)
 
 
 def _acceleration_from_jet(jet: np.ndarray, params: np.ndarray, own: np.ndarray) -> None:
@@ -107,9 +103,7 @@ ACCELERATION_FROM_JET = Callback(_acceleration_from_jet, OWN)
 """Own parameters ``ax, ..., ay, ...``: the accelerations come from the jet, what lies between is kept."""
 
 
-def constant_acceleration(
-    axes: int = 2, *, jerk_density: float = 1.0, acceleration_sd: float = 2.0
-) -> Motion:
+def constant_acceleration(axes: int = 2, *, jerk_density: float = 1.0, acceleration_sd: float = 2.0) -> Motion:
     """Constant acceleration, disturbed by white jerk (Wiener-process acceleration).
 
     Model: ``p' = v, v' = a, a' = w`` per axis.

@@ -95,9 +95,7 @@ def singer(
     axes = check_axes(caller, axes)
     rate = _decay_rate(caller, time_constant)
     spread = check_option(caller, "acceleration_sd", acceleration_sd)
-    density = (
-        2.0 * rate * spread**2 if jerk_density is None else check_option(caller, "jerk_density", jerk_density)
-    )
+    density = 2.0 * rate * spread**2 if jerk_density is None else check_option(caller, "jerk_density", jerk_density)
     labels = labels_of(axes, " v a")
     return Motion(
         caller,
@@ -197,9 +195,7 @@ def jerk(
     rate = _decay_rate(caller, time_constant)
     spread = check_option(caller, "jerk_sd", jerk_sd)
     start = check_option(caller, "acceleration_sd", acceleration_sd)
-    density = (
-        2.0 * rate * spread**2 if snap_density is None else check_option(caller, "snap_density", snap_density)
-    )
+    density = 2.0 * rate * spread**2 if snap_density is None else check_option(caller, "snap_density", snap_density)
     labels = labels_of(axes, " v a j")
     return Motion(
         caller,

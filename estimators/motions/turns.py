@@ -84,9 +84,7 @@ _KNOWN = Callback(_known_transition, TRANSITION)
 _KNOWN_NOISE = Callback(_known_noise, NOISE)
 
 
-def known_turn(
-    rate: float = 0.1, *, acceleration_density: float = 1.0, held_acceleration: float = 0.0
-) -> Motion:
+def known_turn(rate: float = 0.1, *, acceleration_density: float = 1.0, held_acceleration: float = 0.0) -> Motion:
     """Coordinated turn at a known rate: linear.
 
     Model: ``p' = v, v' = rate J v + w`` with ``J`` a quarter turn counter-clockwise; ``rate = 0`` is
@@ -110,9 +108,7 @@ def known_turn(
         check_option(caller, "acceleration_density", acceleration_density),
         check_option(caller, "held_acceleration", held_acceleration),
     )
-    return Motion(
-        caller, labels, 2, _KNOWN, params, units_of(labels), noise=_KNOWN_NOISE, jet_order=1, linear=True
-    )
+    return Motion(caller, labels, 2, _KNOWN, params, units_of(labels), noise=_KNOWN_NOISE, jet_order=1, linear=True)
 
 
 def _turn_transition(x: np.ndarray, dt: float, params: np.ndarray, out: np.ndarray) -> None:
