@@ -85,13 +85,16 @@ def joint_points(program, work, p, q, m, P, own_mean, own_cov):
     return 2 * joint + 1, good
 
 
-@piece(types.boolean, PROGRAM, WORK, types.int64, types.int64, VECTOR, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, MATRIX)
+@piece(
+    types.boolean, PROGRAM, WORK, types.int64, types.int64, VECTOR, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, MATRIX
+)  # fmt: skip
 def convert(program, work, p, q, m, P, own_mean, own_cov, near, m_out, P_out):
     """Mean and covariance of a state of mode ``q`` as a state of mode ``p``, by the unscented transform.
 
     Model: ``c = Gamma_p(J_q(x), own)`` with ``x ~ N(m, P)`` and independent ``own ~ N(own_mean, own_cov)``.
     Angles are averaged around ``near``, the receiving mode's own state.
-    Source: Yuan et al. (2012), Granstrom et al. (2015) for unequal states. Differs: own parameters that the jet determines are computed, others are drawn.
+    Source: Yuan et al. (2012), Granstrom et al. (2015) for unequal states. Differs: own parameters
+    that the jet determines are computed, others are drawn.
     """
     n = program.sizes[q]
     size = program.sizes[p]

@@ -66,7 +66,8 @@ def unscented_predict(transition, params, dt, m, P, Q, n, tuning, upper, points,
         upper, points, moved, scaled: scratch (n, n), (2 n + 1, n) three times.
         m_out, P_out: prediction; must not overlap ``m``, ``P``.
 
-    Source: Julier & Uhlmann (2004); CN202211553542 claim 3, A2-A6. Differs: mean taken about the centre point (less rounding).
+    Source: Julier & Uhlmann (2004); CN202211553542 claim 3, A2-A6. Differs: mean taken about the centre
+    point (less rounding).
     """
     good = cholesky(P, n, upper)
     radius, centre, other = point_weights(n, tuning[0], tuning[1], tuning[2])

@@ -48,12 +48,8 @@ def track_command(
     columns: Annotated[
         str, typer.Option(help="Our names to the file's: t=time,x=east,y=north.", rich_help_panel=_READING)
     ] = "",
-    truth: Annotated[
-        Path | None, typer.Option(help="File of true positions.", rich_help_panel=_READING)
-    ] = None,
-    truth_columns: Annotated[
-        str, typer.Option(help="As --columns, for the truth.", rich_help_panel=_READING)
-    ] = "",
+    truth: Annotated[Path | None, typer.Option(help="File of true positions.", rich_help_panel=_READING)] = None,
+    truth_columns: Annotated[str, typer.Option(help="As --columns, for the truth.", rich_help_panel=_READING)] = "",
     where: Annotated[
         list[str] | None,
         typer.Option(help="Keep rows whose column has a value: gps_new=1.", rich_help_panel=_READING),
@@ -62,9 +58,7 @@ def track_command(
         list[str] | None,
         typer.Option(help="Known constant error, subtracted: range=2.8.", rich_help_panel=_READING),
     ] = None,
-    axes: Annotated[
-        int | None, typer.Option(help="Space dimensions, 2 or 3.", rich_help_panel=_READING)
-    ] = None,
+    axes: Annotated[int | None, typer.Option(help="Space dimensions, 2 or 3.", rich_help_panel=_READING)] = None,
     height: Annotated[
         float | None,
         typer.Option(help="Height of the target, m: slant ranges to horizontal.", rich_help_panel=_READING),
@@ -85,9 +79,7 @@ def track_command(
     ] = None,
     sigma: Annotated[
         str | None,
-        typer.Option(
-            help="Standard deviation: 15, or sigma_range=1,sigma_bearing=.01.", rich_help_panel=_MODEL
-        ),
+        typer.Option(help="Standard deviation: 15, or sigma_range=1,sigma_bearing=.01.", rich_help_panel=_MODEL),
     ] = None,
     acceleration: Annotated[
         float | None, typer.Option(help="Typical acceleration, m/s^2.", rich_help_panel=_MODEL)
@@ -95,9 +87,7 @@ def track_command(
     speed: Annotated[
         float | None, typer.Option(help="Typical speed along an axis, m/s.", rich_help_panel=_MODEL)
     ] = None,
-    turn_rate: Annotated[
-        float | None, typer.Option(help="Typical turn rate, rad/s.", rich_help_panel=_MODEL)
-    ] = None,
+    turn_rate: Annotated[float | None, typer.Option(help="Typical turn rate, rad/s.", rich_help_panel=_MODEL)] = None,
     sojourn: Annotated[
         float | None, typer.Option(help="Mean time between changes of mode, s.", rich_help_panel=_MODEL)
     ] = None,

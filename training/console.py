@@ -31,7 +31,7 @@ def stderr() -> Console:
 
 @contextlib.contextmanager
 def progress(text: str, total: float | None = None) -> Iterator[Callable[..., None]]:
-    """A progress bar on stderr that appears after two seconds and leaves nothing behind.
+    """A progress bar on stderr that appears after two seconds and leaves nothing behind; none in a log file.
 
     Args:
         text: what is going on.
@@ -47,6 +47,7 @@ def progress(text: str, total: float | None = None) -> Iterator[Callable[..., No
         TimeRemainingColumn(),
         console=stderr(),
         transient=True,
+        disable=not sys.stderr.isatty(),
     )
     task = bar.add_task(text, total=total)
     began = time.monotonic()

@@ -165,7 +165,9 @@ def _draw_ellipses(axis: Any, covariance: Floats, place: Floats, size: float) ->
     if len(rows) < 2:
         return
     path = np.cumsum(np.linalg.norm(np.diff(place[rows], axis=0, prepend=place[rows[:1]]), axis=1))
-    rows = np.unique(rows[np.searchsorted(path, np.linspace(0, path[-1], _ELLIPSES), side="left").clip(0, len(rows) - 1)])
+    rows = np.unique(
+        rows[np.searchsorted(path, np.linspace(0, path[-1], _ELLIPSES), side="left").clip(0, len(rows) - 1)]
+    )
     values, vectors = np.linalg.eigh(covariance[rows])
     radii = 2.0 * np.sqrt(np.maximum(values, 0.0))
     typical = float(np.median(radii[:, 1])) / size

@@ -215,9 +215,7 @@ _FIXED_NOISE = Callback(_fixed_noise, NOISE)
 
 def _with_fixed_noise(motion: Motion, variances: Mapping[str, float]) -> Motion:
     """The motion with the same diagonal process noise at every step, as the study states it."""
-    return motion.with_(
-        noise=_FIXED_NOISE, params=(*motion.params, *(variances[label] for label in motion.labels))
-    )
+    return motion.with_(noise=_FIXED_NOISE, params=(*motion.params, *(variances[label] for label in motion.labels)))
 
 
 def _run_mixing(data: ScenarioData, name: str) -> tuple[Estimates, dict[str, Any]]:
@@ -302,10 +300,6 @@ PUBLISHED_CELLS: tuple[PublishedCell, ...] = (
         PublishedCell("mixing-study-v0", name, 30, _run_mixing, _score_mixing)
         for name in ("none", "reset", "jet", "birth")
     ),
-    *(
-        PublishedCell(scenario, name, 100, _run_recipe, _score_recipe)
-        for scenario in _WITHOUT
-        for name in RECIPES
-    ),
+    *(PublishedCell(scenario, name, 100, _run_recipe, _score_recipe) for scenario in _WITHOUT for name in RECIPES),
 )
 """Every cell of the suite, in the order of the table."""

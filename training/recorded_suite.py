@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from jink.training.track import TrackReport, TrackRequest
 
 __all__ = ["ESTIMATORS", "RecordedFile", "list_files", "score_report"]
@@ -121,6 +123,7 @@ def score_report(report: TrackReport | None, raw: dict[str, float]) -> dict[str,
     }
     if report is not None:
         values |= {
+            "log_likelihood_trimmed": (_trimmed_log_likelihood(report), "nat"),
             "log_likelihood_per_step": (scores["log_likelihood_per_step"], "nat"),
             "nis_per_component": (scores["nis_per_dof"], ""),
             "nis_inside": (scores["nis_inside"], ""),
@@ -128,3 +131,10 @@ def score_report(report: TrackReport | None, raw: dict[str, float]) -> dict[str,
             "microseconds_per_step": (1e6 * report.seconds / max(scores["steps"], 1.0), "us"),
         }
     return values
+
+
+def _trimmed_log_likelihood(report: TrackReport) -> float:
+    """Mean log-likelihood of the one-step predictions without the worst 1 %, where gross errors live; nat."""
+    measured = report.tracks.used & (np.asarray(report.estimates.nis_dof) > 0)
+    values = np.sort(np.asarray(report.estimates.log_likelihood)[measured])
+    return float(values[len(values) // 100 :].mean()) if values.size else float("nan")

@@ -165,9 +165,7 @@ def forecast_ends(
     for track in tracks:
         noise = track.noise if use_noise else None
         try:
-            state = estimator.start(
-                track.measurements, track.times, noise=noise, sensor_states=track.sensor_states
-            )
+            state = estimator.start(track.measurements, track.times, noise=noise, sensor_states=track.sensor_states)
         except ValueError:
             continue  # its rows do not locate it: such a track has no end to start from
         mean, covariance = estimator.forecast(state, horizon)

@@ -163,9 +163,7 @@ def rough_speed(tracks: Tracks, sensor: Sensor, sigma: Floats) -> float | None:
     return float(np.median(moving)) or None if moving else None
 
 
-def _located(
-    times: Floats, measurements: Floats, states: Floats | None, sensor: Sensor
-) -> tuple[Floats, Floats]:
+def _located(times: Floats, measurements: Floats, states: Floats | None, sensor: Sensor) -> tuple[Floats, Floats]:
     """Times and positions of the rows that locate the target alone; (K,), (K, A)."""
     if sensor.locate is None:
         return np.empty(0), np.empty((0, sensor.axes))

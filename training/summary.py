@@ -83,7 +83,9 @@ def _print_outcome(console: Console, report: TrackReport) -> None:
         shares = np.asarray(report.estimates.mode_probs)[known].mean(axis=0) if known.any() else []
         console.print(
             "time in modes: "
-            + ", ".join(f"{escape(name)} {100 * share:.0f} %" for name, share in zip(report.modes, shares, strict=False))
+            + ", ".join(
+                f"{escape(name)} {100 * share:.0f} %" for name, share in zip(report.modes, shares, strict=False)
+            )
         )
     dof = np.asarray(report.estimates.nis_dof)
     wild = int((used & (dof > 0) & (np.asarray(report.estimates.nis) > chi2.isf(1e-5, np.maximum(dof, 1)))).sum())

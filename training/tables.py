@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import PurePosixPath
 from typing import Any
 
 import pandas as pd
@@ -45,9 +46,7 @@ def print_published(console: Console, rows: pd.DataFrame) -> None:
     others = ok[ok["published"].isna() & (ok["metric"] == "position_rms")]
     if len(others):
         pivot = others.pivot_table(index="scenario", columns="estimator", values="value", sort=False)
-        table = plain_table(
-            "scenario", *map(str, pivot.columns), title="position error without published numbers, m"
-        )
+        table = plain_table("scenario", *map(str, pivot.columns), title="position error without published numbers, m")
         for scenario, values in pivot.iterrows():
             table.add_row(str(scenario), *(number(float(value)) for value in values))
         console.print(table)
@@ -67,13 +66,15 @@ def print_recorded(console: Console, rows: pd.DataFrame) -> None:
     _print_grid(
         console,
         rows[~rows["scenario"].isin(with_truth)],
-        "one-step prediction: log-likelihood per step, nat (NIS per component)",
+        "one-step prediction: log-likelihood per step without the worst 1 %, nat (share in the 95 % band)",
         ESTIMATORS[1:],
-        ("log_likelihood_per_step", "nis_per_component"),
+        ("log_likelihood_trimmed", "nis_inside"),
     )
-    skipped = rows[(rows["status"] == "skipped") & ~rows["scenario"].isin(set(rows.loc[rows["status"] == "ok", "scenario"]))]
+    skipped = rows[
+        (rows["status"] == "skipped") & ~rows["scenario"].isin(set(rows.loc[rows["status"] == "ok", "scenario"]))
+    ]
     for reason, group in skipped.groupby("reason", sort=False):
-        names = ", ".join(dict.fromkeys(map(str, group["scenario"])))
+        names = ", ".join(dict.fromkeys(PurePosixPath(str(name)).name for name in group["scenario"]))
         console.print(f"skipped, {escape(str(reason))}: {escape(names)}", style="dim")
     _print_reasons(console, rows)
 
@@ -85,15 +86,13 @@ def _print_grid(
     if values.empty:
         return
     table = plain_table("file", *estimators, title=title)
-    cells = {
-        (row.scenario, row.estimator, row.metric): _number(row.value) for row in values.itertuples()
-    }
+    cells = {(row.scenario, row.estimator, row.metric): _number(row.value) for row in values.itertuples()}
     for scenario in dict.fromkeys(values["scenario"]):
         shown = []
         for estimator in estimators:
             first, second = (cells.get((scenario, estimator, metric)) for metric in metrics)
             shown.append("-" if first is None else f"{number(first)} ({number(second, 3)})")
-        table.add_row(escape(str(scenario)), *shown)
+        table.add_row(escape(PurePosixPath(str(scenario)).name), *shown)
     console.print(table)
 
 

@@ -152,9 +152,7 @@ def estimate(request: TrackRequest, tracks: Tracks, choice: Choice) -> TrackRepo
     forecasts: list[Forecast] = []
     if request.forecast is not None:
         with progress(f"forecast: {tracks.source}", rows) as advance:
-            forecasts = forecast_ends(
-                estimator, used, request.forecast, use_noise=use_noise, advance=advance
-            )
+            forecasts = forecast_ends(estimator, used, request.forecast, use_noise=use_noise, advance=advance)
     return TrackReport(
         tracks=tracks,
         estimator=request.estimator,
@@ -206,9 +204,7 @@ def choose(request: TrackRequest, tracks: Tracks) -> Choice:
     plain = sensor_of(tracks)
     sigma = None if request.sigma is None else parse_sigma(request.sigma, plain)
     with progress("choosing noise and acceleration from the file") as advance:
-        tuning = tune(
-            tracks, sigma=sigma, acceleration=request.acceleration, speed=request.speed, advance=advance
-        )
+        tuning = tune(tracks, sigma=sigma, acceleration=request.acceleration, speed=request.speed, advance=advance)
     use_noise = tracks.noise is not None and sigma is None
     origin = {
         name: "given" if getattr(request, name) is not None else "tuned" if name in tuning.tuned else "default"

@@ -157,9 +157,7 @@ def tune(
     group = _groups(plain)
     quantum = smallest_steps(sample, plain) / math.sqrt(12)
     if free_sigma:
-        rough, quantum = (
-            np.array([values[group == g].max() for g in group]) for values in (rough, quantum)
-        )
+        rough, quantum = (np.array([values[group == g].max() for g in group]) for values in (rough, quantum))
     sample, prior = _started(sample, sensor_of(tracks, rough), found_speed or DEFAULT_SPEED)
     rough = np.maximum(rough, quantum) if free_sigma else rough
     low = np.maximum(quantum, _RANGE[0] * rough)
@@ -172,9 +170,7 @@ def tune(
             "kf-cv", sensor_of(tracks, values), acceleration=density, speed=found_speed or DEFAULT_SPEED
         )
         noise = sample.noise if sigma is None else None
-        return engine.run(
-            sample.measurements, sample.times, noise, sample.sensor_states, sample.lengths, prior=prior
-        )
+        return engine.run(sample.measurements, sample.times, noise, sample.sensor_states, sample.lengths, prior=prior)
 
     def unpack(theta: Floats) -> tuple[tuple[float, ...], float]:
         values = rough
