@@ -134,16 +134,12 @@ def _cycle(problem: Problem, filters: Callable[..., Any]) -> Callable[..., Any]:
             share = transition * mode_probs[:, None] / predicted
             mixed = share.T @ means
             deviation = means[:, None] - mixed
-            covs = jnp.einsum("ij,inm->jnm", share, covs) + jnp.einsum(
-                "ij,ijn,ijm->jnm", share, deviation, deviation
-            )
+            covs = jnp.einsum("ij,inm->jnm", share, covs) + jnp.einsum("ij,ijn,ijm->jnm", share, deviation, deviation)
             means, covs, score = filters(mixed, covs, z, dt, q)
             mode_probs = jax.nn.softmax(score + jnp.log(predicted))
             mean = mode_probs @ means
             apart = means - mean
-            cov = jnp.einsum("j,jnm->nm", mode_probs, covs) + jnp.einsum(
-                "j,jn,jm->nm", mode_probs, apart, apart
-            )
+            cov = jnp.einsum("j,jnm->nm", mode_probs, covs) + jnp.einsum("j,jn,jm->nm", mode_probs, apart, apart)
         else:
             means, covs, _ = filters(means, covs, z, dt, q)
             mean, cov = means[0], covs[0]

@@ -112,8 +112,7 @@ def run(problem: Problem) -> Result:
             continue
         mixed, mixed_covs, predicted = mix(means, covs, mode_probs, problem.mode_transition)
         steps = [
-            ukf_step(mixed[:, j], mixed_covs[:, j], z, dt, motions[j], noises[k, j], r, position)
-            for j in range(m)
+            ukf_step(mixed[:, j], mixed_covs[:, j], z, dt, motions[j], noises[k, j], r, position) for j in range(m)
         ]
         means, covs = np.stack([s[0] for s in steps], 1), np.stack([s[1] for s in steps], 1)
         score = np.stack([s[2] for s in steps], 1) + np.log(predicted)

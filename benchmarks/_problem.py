@@ -188,9 +188,7 @@ def make_problem(workload: str, tracks: int, steps: int, seed: int = 1) -> Probl
             ("kf-cv",), np.ones((1, 1)), np.ones(1),
         )  # fmt: skip
     if workload == "ukf":
-        return Problem(
-            workload, times, measurements, prior_mean, prior_cov, ("ct",), np.ones((1, 1)), np.ones(1)
-        )
+        return Problem(workload, times, measurements, prior_mean, prior_cov, ("ct",), np.ones((1, 1)), np.ones(1))
     if workload == "bank":
         return Problem(
             workload,
@@ -202,9 +200,7 @@ def make_problem(workload: str, tracks: int, steps: int, seed: int = 1) -> Probl
             MODE_TRANSITION,
             np.full(3, 1 / 3),
         )
-    raise ValueError(
-        f"make_problem: workload must be bank, ukf or kf; got {workload!r}. Choose one of these."
-    )
+    raise ValueError(f"make_problem: workload must be bank, ukf or kf; got {workload!r}. Choose one of these.")
 
 
 def to_result(problem: Problem, mean: np.ndarray, cov: np.ndarray, mode_probs: np.ndarray) -> Result:

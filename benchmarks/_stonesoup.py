@@ -57,9 +57,7 @@ def _log_likelihood(hypothesis: SingleHypothesis) -> float:
     (a, b), (_, d) = np.asarray(seen.covar).tolist()
     dx, dy = (np.asarray(hypothesis.measurement.state_vector) - np.asarray(seen.state_vector))[:, 0].tolist()
     det = a * d - b * b
-    return -0.5 * ((d * dx * dx - 2 * b * dx * dy + a * dy * dy) / det + math.log(det)) - math.log(
-        2 * math.pi
-    )
+    return -0.5 * ((d * dx * dx - 2 * b * dx * dy + a * dy * dy) / det + math.log(det)) - math.log(2 * math.pi)
 
 
 def make(problem: Problem, stepwise: bool = False) -> Case:
@@ -108,9 +106,7 @@ def make(problem: Problem, stepwise: bool = False) -> Case:
             for j, predictor in enumerate(predictors):
                 predictor.transition_model.noise = noises[k, j]
                 start = GaussianState(mixed[0, j][:, None], mixed_covs[0, j], timestamp=stamps[k])
-                hypothesis = SingleHypothesis(
-                    predictor.predict(start, timestamp=detection.timestamp), detection
-                )
+                hypothesis = SingleHypothesis(predictor.predict(start, timestamp=detection.timestamp), detection)
                 after = updater.update(hypothesis)
                 means[0, j], covs[0, j] = np.asarray(after.state_vector)[:, 0], after.covar
                 score[0, j] += _log_likelihood(hypothesis)

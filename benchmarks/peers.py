@@ -77,9 +77,7 @@ def missing(peer: str) -> str:
     return "" if importlib.util.find_spec(module) else f"not installed: {command}"
 
 
-def compare(
-    workload: str, tracks: int, stepwise: bool, peers: list[str], quick: bool, say: Any
-) -> list[dict]:
+def compare(workload: str, tracks: int, stepwise: bool, peers: list[str], quick: bool, say: Any) -> list[dict]:
     """Time one workload in all packages, interleaved, and compare the estimates with the NumPy textbook."""
     import _numpy
 
@@ -235,9 +233,7 @@ def show_rest(console: Console, grown: list[dict[str, Any]], costs: list[dict[st
     for head in ("package", "tracks", "steps", "MB", "note"):
         table.add_column(head, justify="left" if head in ("package", "note") else "right")
     for row in grown:
-        table.add_row(
-            row["peer"], str(row["tracks"]), str(row["steps"]), _number(row["mb"]), row.get("note", "")
-        )
+        table.add_row(row["peer"], str(row["tracks"]), str(row["steps"]), _number(row["mb"]), row.get("note", ""))
     console.print(table)
     table = Table(title="jink: cost as one thing grows", title_justify="left")
     for head in ("what", "size", "us / track-step", "note"):
@@ -264,16 +260,12 @@ def main() -> int:
     only = [name for name in options.only.split(",") if name]
     unknown = [name for name in only if name not in PEERS]
     if unknown:
-        parser.error(
-            f"--only must name packages of {', '.join(PEERS)}; got {unknown[0]!r}. Choose some of these."
-        )
+        parser.error(f"--only must name packages of {', '.join(PEERS)}; got {unknown[0]!r}. Choose some of these.")
     peers = [peer for peer in PEERS if not only or peer == "jink" or peer in only]
     console, rows = Console(), []
     about = _timing.machine() | {"bound": BOUND, "command": " ".join(["python", *sys.argv])}
     console.print(", ".join(f"{name} {value}" for name, value in about.items()), highlight=False)
-    progress = Progress(
-        SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), console=console
-    )
+    progress = Progress(SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), console=console)
     with progress:
         task = progress.add_task("starting", total=None)
 

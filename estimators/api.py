@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jink.estimators.bank import Bank
 from jink.estimators.cycle import (
+    ABSURD,
     LOCATED,
     PRIOR,
     History,
@@ -273,7 +274,7 @@ class BankEstimator:
         axes = kin // 2
         mean = outputs.kin_mean[0, 0]
         return following, Estimates(
-            inputs.times[0, 0],
+            following.time[0],
             mean[:axes],
             mean[axes:],
             outputs.kin_cov[0, 0],
@@ -424,8 +425,12 @@ class BankEstimator:
 
     def _locate(self, inputs: Inputs) -> StartBatch:
         tracks, rows = inputs.measurements.shape[:2]
-        z = np.where((np.arange(rows) < inputs.lengths[:, None])[..., None], inputs.measurements, np.nan)
+        usable = (np.arange(rows) < inputs.lengths[:, None])[..., None] & (np.abs(inputs.measurements) < ABSURD)
         sensors = None if not inputs.sensors.any() else inputs.sensors
+        if sensors is not None and not self._program.sensor_linear:
+            placed = (np.abs(sensors) < ABSURD).all(axis=2, keepdims=True)
+            usable, sensors = usable & placed, np.where(placed, sensors, 0.0)
+        z = np.where(usable, inputs.measurements, np.nan)
         return start_batch(
             self.bank.sensor,
             z,
@@ -547,6 +552,8 @@ def _prior_part(prior: Prior | None, begin: int, end: int) -> Prior | None:
 def _fill_outside(inputs: Inputs, outputs: Outputs, history: History, probs: Floats) -> None:
     """Rows before the start hold the start carried back at its velocity; padding repeats the last row."""
     rows = outputs.status.shape[1]
+    if rows == 0 or (not inputs.first.any() and (inputs.lengths == rows).all()):
+        return
     half = outputs.kin_mean.shape[2] // 2
     for b in range(len(inputs.first)):
         first, length = int(inputs.first[b]), int(inputs.lengths[b])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,7 +117,7 @@ class Bank:
                 f"Bank: min_prob must be in [0, 1/M = {1 / len(self.modes):.3g}); got {self.min_prob}. Use 1e-6."
             )
 
-    @property
+    @cached_property
     def start_probs(self) -> NDArray[np.float64]:
         """Mode probabilities at the start; (M,)."""
         if self.initial_probs is not None:

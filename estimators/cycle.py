@@ -19,6 +19,7 @@ from jink.estimators.reference import by_reference, record_type
 from jink.estimators.status import DIVERGED, MISSING, OK, REPAIRED, STARTING
 
 __all__ = [
+    "ABSURD",
     "DIVERGED",
     "MISSING",
     "OK",
@@ -36,10 +37,12 @@ __all__ = [
 
 PRIOR, RUNNING, LOCATED = range(3)
 
-_ABSURD = 1e30
+ABSURD = 1e30
+"""No measurement, place or mean is this large: such numbers are broken, and their squares must stay finite."""
 _LOST_NIS = 25.0
 _MEMORY = 0.2
 _FLOOR = 1e-14
+_ROUNDED = 1e-9
 
 Floats = NDArray[np.float64]
 
@@ -144,26 +147,39 @@ def _step_chain(program, work, inputs, b, t, dt):
 
 
 @inner_kernel
-def _present(program, work, z, R):
+def _present(program, work, z, R, sensor):
     """How many components can be used, and whether any was refused; fills ``work.present``, ``work.R``."""
+    present, noise = work.present, work.R
     d = 0
     clean = True
+    placed = True
+    if not program.sensor_linear:
+        for i in range(sensor.size):
+            placed = placed and abs(sensor[i]) < ABSURD
     for i in range(z.size):
-        usable = np.isfinite(z[i]) and abs(z[i]) < _ABSURD
+        usable = abs(z[i]) < ABSURD and placed
         variance = R[i, i]
         sound = np.isfinite(variance) and variance > 0.0
         if usable and sound:
-            work.present[d] = i
+            present[d] = i
             d += 1
         if not np.isnan(z[i]) and not (usable and sound):
             clean = False
+    coupled = False
     for a in range(d):
-        for b in range(d):
-            entry = R[work.present[a], work.present[b]]
-            if not np.isfinite(entry):
+        noise[a, a] = R[present[a], present[a]]
+        for b in range(a):
+            entry, twin = R[present[a], present[b]], R[present[b], present[a]]
+            if not abs(entry - twin) <= _ROUNDED * (abs(entry) + abs(twin)):
                 entry = 0.0
                 clean = False
-            work.R[a, b] = entry
+            noise[a, b] = noise[b, a] = entry
+            coupled = coupled or entry != 0.0
+    if coupled and not cholesky(noise, d, work.factor):
+        clean = False
+        for a in range(d):
+            for b in range(a):
+                noise[a, b] = noise[b, a] = 0.0
     return d, clean
 
 
@@ -174,7 +190,7 @@ def _sound(m, P, n, P_before):
     size = 0.0
     for i in range(n):
         size += abs(m[i]) + abs(P[i, i])
-    if not size < _ABSURD * _ABSURD or not np.isfinite(total(P, n)):
+    if not size < ABSURD * ABSURD or not np.isfinite(total(P, n)):
         return 0
     for i in range(n):
         if P[i, i] < 0.0 or (P[i, i] == 0.0 and P_before[i, i] > 0.0):
@@ -191,38 +207,39 @@ def _widen(kin_cov):
     """Ten times the standard deviations, within what numbers bear."""
     for a in range(kin_cov.shape[0]):
         for b in range(kin_cov.shape[0]):
-            if kin_cov[a, a] < _ABSURD and kin_cov[b, b] < _ABSURD:
+            if kin_cov[a, a] < ABSURD and kin_cov[b, b] < ABSURD:
                 kin_cov[a, b] *= 100.0
 
 
 @inner_kernel
 def _bank_nis(work, modes, d):
     """Innovation of the whole bank squared over its covariance: moments of the mixture of predicted measurements."""
+    prior, innovation, S_modes, S = work.prior, work.innovation, work.S_modes, work.S
+    mean, factor, whitened = work.sensed, work.factor, work.whitened
     for a in range(d):
-        total = 0.0
+        value = 0.0
         for j in range(modes):
-            total += work.prior[j] * work.innovation[j, a]
-        work.sensed[a] = total
+            value += prior[j] * innovation[j, a]
+        mean[a] = value
     for a in range(d):
         for b in range(d):
-            total = 0.0
+            value = 0.0
             for j in range(modes):
-                weight = work.prior[j]
-                da = work.innovation[j, a] - work.sensed[a]
-                db = work.innovation[j, b] - work.sensed[b]
-                total += weight * (work.S_modes[j, a, b] + da * db)
-            work.S[a, b] = total
-    if not cholesky(work.S, d, work.factor):
+                da = innovation[j, a] - mean[a]
+                db = innovation[j, b] - mean[b]
+                value += prior[j] * (S_modes[j, a, b] + da * db)
+            S[a, b] = value
+    if not cholesky(S, d, factor):
         return 0.0, False
     nis = 0.0
     for a in range(d):
-        value = work.sensed[a]
+        value = mean[a]
         for k in range(a):
-            value -= work.factor[k, a] * work.whitened[k, 0]
-        if not work.factor[a, a] > 0.0:
+            value -= factor[k, a] * whitened[k, 0]
+        if not factor[a, a] > 0.0:
             return 0.0, False
-        work.whitened[a, 0] = value / work.factor[a, a]
-        nis += work.whitened[a, 0] * work.whitened[a, 0]
+        whitened[a, 0] = value / factor[a, a]
+        nis += whitened[a, 0] * whitened[a, 0]
     return nis, np.isfinite(nis)
 
 
@@ -232,22 +249,23 @@ def _mode_posterior(program, work, modes, probs):
 
     The largest log density is taken out first, so nothing under- or overflows. A mode with zero prior stays at zero.
     """
+    prior, log_density = work.prior, work.log_density
     top = -np.inf
     for j in range(modes):
-        if work.prior[j] > 0.0:
-            top = max(top, work.log_density[j])
+        if prior[j] > 0.0:
+            top = max(top, log_density[j])
     if not abs(top) < np.inf:
-        copy_vector(work.prior, probs)
+        copy_vector(prior, probs)
         return top
     mass = 0.0
     for j in range(modes):
-        probs[j] = work.prior[j] * np.exp(work.log_density[j] - top) if work.prior[j] > 0.0 else 0.0
+        probs[j] = prior[j] * np.exp(log_density[j] - top) if prior[j] > 0.0 else 0.0
         mass += probs[j]
     log_likelihood = top + np.log(mass)
     floored = 0.0
     for j in range(modes):
         probs[j] /= mass
-        if probs[j] < program.min_prob and work.prior[j] > 0.0:
+        if probs[j] < program.min_prob and prior[j] > 0.0:
             probs[j] = program.min_prob
         floored += probs[j]
     for j in range(modes):
@@ -258,23 +276,21 @@ def _mode_posterior(program, work, modes, probs):
 @piece(types.boolean, PROGRAM, WORK, MATRIX, STACK, VECTOR, VECTOR, MATRIX)
 def fuse(program, work, mean, cov, probs, kin_mean, kin_cov):
     """Moments of the bank's position and velocity; returns whether all went well."""
-    modes = program.sizes.size
-    kin = kin_mean.size
+    modes, kin = program.sizes.size, kin_mean.size
+    means, covs = work.kin_modes, work.kin_covs
     good = True
     for a in range(kin):
         kin_mean[a] = 0.0
+    for j in range(modes):
+        good = mode_kinematics(program, work, j, mean[j], cov[j], means[j], covs[j]) and good
+        for a in range(kin):
+            kin_mean[a] += probs[j] * means[j, a]
+    for a in range(kin):
         for b in range(kin):
-            kin_cov[a, b] = 0.0
-    for j in range(modes):
-        good = mode_kinematics(program, work, j, mean[j], cov[j], work.kin_modes[j], work.kin_covs[j]) and good
-        for a in range(kin):
-            kin_mean[a] += probs[j] * work.kin_modes[j, a]
-    for j in range(modes):
-        for a in range(kin):
-            da = work.kin_modes[j, a] - kin_mean[a]
-            for b in range(kin):
-                db = work.kin_modes[j, b] - kin_mean[b]
-                kin_cov[a, b] += probs[j] * (work.kin_covs[j, a, b] + da * db)
+            value = 0.0
+            for j in range(modes):
+                value += probs[j] * (covs[j, a, b] + (means[j, a] - kin_mean[a]) * (means[j, b] - kin_mean[b]))
+            kin_cov[a, b] = value
     return good
 
 
@@ -317,7 +333,7 @@ def step(program, work, state, inputs, outputs, b, t):
     good = True
     now = inputs.times[b if inputs.times.shape[0] > 1 else 0, t]
     dt = now - state.time[b]
-    if not (dt >= 0.0 and dt < _ABSURD):
+    if not (dt >= 0.0 and dt < ABSURD):
         dt = 0.0
         good = False
     else:
@@ -335,7 +351,7 @@ def step(program, work, state, inputs, outputs, b, t):
     z = inputs.measurements[b, t]
     R = inputs.noise[b if inputs.noise.shape[0] > 1 else 0, t if inputs.noise.shape[1] > 1 else 0]
     sensor = inputs.sensors[b if inputs.sensors.shape[0] > 1 else 0, t if inputs.sensors.shape[1] > 1 else 0]
-    d, clean = _present(program, work, z, R)
+    d, clean = _present(program, work, z, R, sensor)
     good = good and clean
     lost = False
     for j in range(modes):
@@ -370,10 +386,10 @@ def step(program, work, state, inputs, outputs, b, t):
         nis, fine = _bank_nis(work, modes, d)
         log_likelihood = _mode_posterior(program, work, modes, probs)
         if not np.isfinite(log_likelihood):
-            log_likelihood = -_ABSURD
+            log_likelihood = -ABSURD
             good = False
         if fine:
-            state.nis_average[b, modes] += _MEMORY * (min(nis, _ABSURD) / d - state.nis_average[b, modes])
+            state.nis_average[b, modes] += _MEMORY * (min(nis, ABSURD) / d - state.nis_average[b, modes])
         else:
             nis = 0.0
             good = False

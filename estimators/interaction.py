@@ -30,13 +30,22 @@ def convert_point(program, work, p, q, x, own, out):
         for i in range(kin):
             work.jet[i] = work.kin[i]
         ahead, behind = work.ahead, work.behind
-        call_transition(program.transition[q], x[:n], _INSTANT, program.params[q], work.vector[:n])
+        call_transition(
+            program.transition[q], x[:n], _INSTANT, program.params[q, : program.param_counts[q]], work.vector[:n]
+        )
         kinematics_of(program, q, work.vector, ahead)
-        call_transition(program.transition[q], x[:n], -_INSTANT, program.params[q], work.vector[:n])
+        call_transition(
+            program.transition[q], x[:n], -_INSTANT, program.params[q, : program.param_counts[q]], work.vector[:n]
+        )
         kinematics_of(program, q, work.vector, behind)
         for i in range(kin // 2):
             work.jet[kin + i] = (ahead[kin // 2 + i] - behind[kin // 2 + i]) / (2.0 * _INSTANT)
-        call_own(program.own_from_jet[p], work.jet, program.params[p], own[: program.own_counts[p]])
+        call_own(
+            program.own_from_jet[p],
+            work.jet,
+            program.params[p, : program.param_counts[p]],
+            own[: program.own_counts[p]],
+        )
     assemble(program, p, work.kin, own, out)
 
 
@@ -50,7 +59,9 @@ def assemble(program, p, kin, own, out):
         for k in range(count):
             out[program.own_index[p, k]] = own[k]
     else:
-        call_assemble(program.assemble[p], kin, own[:count], program.params[p], out[: program.sizes[p]])
+        call_assemble(
+            program.assemble[p], kin, own[:count], program.params[p, : program.param_counts[p]], out[: program.sizes[p]]
+        )
 
 
 @inner_kernel
@@ -113,7 +124,7 @@ def convert(program, work, p, q, m, P, own_mean, own_cov, near, m_out, P_out):
     for i in range(size):
         for k in range(P_out.shape[1]):
             P_out[i, k] = 0.0
-    points_covariance(work.moved, work.scaled, count, size, centre, other, P_out)
+    points_covariance(work.moved, count, size, centre, other, P_out)
     return good
 
 
@@ -186,27 +197,28 @@ def birth(program, work, p, kin_mean, kin_cov, m_out, P_out):
             if program.angular[p, i] and s > 0:
                 work.moved[s, i] = work.moved[0, i] + wrap_angle(work.moved[s, i] - work.moved[0, i])
     points_mean(work.moved, 2 * joint + 1, size, other, m_out)
-    points_covariance(work.moved, work.scaled, 2 * joint + 1, size, centre, other, P_out)
+    points_covariance(work.moved, 2 * joint + 1, size, centre, other, P_out)
     return good
 
 
 @inner_kernel
 def _moment_match(program, work, p, means, covs, n, m_out, P_out):
     """Mean and covariance of the mixture ``sum_q weights[q] N(means[q], covs[q])`` for mode ``p``."""
-    modes = program.sizes.size
+    modes, weights, spreads, scaled = program.sizes.size, work.weights, work.points, work.scaled
     for i in range(n):
         total = 0.0
         for q in range(modes):
-            if work.weights[q] > 0.0:
-                total += work.weights[q] * means[q, i]
+            if weights[q] > 0.0:
+                total += weights[q] * means[q, i]
         m_out[i] = total
-    average(covs, work.weights, modes, n, P_out)
+    average(covs, weights, modes, n, P_out)
     for q in range(modes):
+        weight = weights[q]
         for i in range(n):
-            spread = means[q, i] - m_out[i] if work.weights[q] > 0.0 else 0.0
-            work.points[q, i] = spread
-            work.scaled[q, i] = work.weights[q] * spread
-    outer_add(P_out, work.scaled, work.points, modes, 1.0, n)
+            spread = means[q, i] - m_out[i] if weight > 0.0 else 0.0
+            spreads[q, i] = spread
+            scaled[q, i] = weight * spread
+    outer_add(P_out, scaled, spreads, 0, modes, 1.0, n)
 
 
 @piece(types.boolean, PROGRAM, WORK, MATRIX, STACK, VECTOR)
@@ -218,22 +230,22 @@ def interact(program, work, mean, cov, probs):
     Fills ``work.prior`` (M,), ``work.mixed_mean``, ``work.mixed_cov``; returns whether all went well.
     Source: Blom & Bar-Shalom (1988). Differs: unlike states are converted first; births are ours.
     """
-    modes = program.sizes.size
+    modes, weights, chain = program.sizes.size, work.weights, work.chain
     good = True
     for p in range(modes):
         n = program.sizes[p]
         total = 0.0
         for q in range(modes):
-            work.weights[q] = work.chain[q, p] * probs[q]
-            total += work.weights[q]
+            weights[q] = chain[q, p] * probs[q]
+            total += weights[q]
         work.prior[p] = total
         separate = program.rule == NONE or program.rule == RESET or not total > 0.0
         if not separate:
             others = 0.0
             for q in range(modes):
-                work.weights[q] /= total
+                weights[q] /= total
                 if q != p:
-                    others += work.weights[q]
+                    others += weights[q]
             separate = not others > 0.0
         if separate:
             for i in range(n):
@@ -245,7 +257,7 @@ def interact(program, work, mean, cov, probs):
             continue
         born = program.rule == BIRTH
         for q in range(modes):
-            if work.weights[q] > 0.0:
+            if weights[q] > 0.0:
                 if program.gathered[p, q]:
                     _gather(program, p, q, mean[q], cov[q], mean[p], cov[p], born, work.part_mean[q], work.part_cov[q])
                 else:

@@ -217,27 +217,18 @@ def mirror(matrix, n):
 
 
 @kernel
-def _congruence_columns(product, f_transposed, q, n, out, j):
-    for i in range(n):
-        t = _load(q, i, j)
-        t = _combine(product, i, f_transposed, j, n, t[0], t[1], t[2], t[3], t[4], t[5], t[6], t[7])
-        _store(out, i, j, t, 1.0)
+def congruence(f_transposed, p, q, n, product, out):
+    """``out = f p f' + q`` for symmetric ``p``, ``q``; ``product`` is scratch; ``out`` must not overlap ``p``."""
+    multiply(p, f_transposed, n, n, product)
+    copy_matrix(q, out, n)
+    outer_add(out, f_transposed, product, 0, n, 1.0, n)
 
 
 @kernel
-def congruence(f, f_transposed, p, q, n, product, out):
-    """``out = f p f' + q`` for symmetric ``p``, ``q``; ``out`` may be ``p``; ``product`` scratch."""
-    multiply(f, p, n, n, product)
-    _congruence_columns(product, f_transposed, q, n, out, 0)
-    for j in range(_STEP, np.uint64(n), _STEP):
-        _congruence_columns(product, f_transposed, q, n, out, j)
-
-
-@kernel
-def _outer_columns(matrix, left, right, count, scale, n, j):
+def _outer_columns(matrix, left, right, begin, end, scale, n, j):
     for i in range(n):
         t0, t1, t2, t3, t4, t5, t6, t7 = _load(matrix, i, j)
-        for s in range(count):
+        for s in range(begin, end):
             factor = scale * left[s, i]
             t0 += factor * right[s, j]
             t1 += factor * right[s, j + 1]
@@ -251,11 +242,11 @@ def _outer_columns(matrix, left, right, count, scale, n, j):
 
 
 @kernel
-def outer_add(matrix, left, right, count, scale, n):
-    """``matrix += scale sum_s left[s] right[s]'`` over ``count`` rows of (count, n) factors."""
-    _outer_columns(matrix, left, right, count, scale, n, 0)
+def outer_add(matrix, left, right, begin, end, scale, n):
+    """``matrix += scale sum_s left[s] right[s]'`` over rows ``begin`` to ``end`` of two (S, n) factors."""
+    _outer_columns(matrix, left, right, begin, end, scale, n, 0)
     for j in range(_STEP, np.uint64(n), _STEP):
-        _outer_columns(matrix, left, right, count, scale, n, j)
+        _outer_columns(matrix, left, right, begin, end, scale, n, j)
 
 
 @kernel

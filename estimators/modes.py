@@ -5,8 +5,8 @@ from __future__ import annotations
 from numba import types
 
 from jink.estimators.compiled import call_kinematics, call_noise, call_observe, call_transition, inner_kernel
-from jink.estimators.kalman import gaussian_update, predict_linear
-from jink.estimators.linalg import cholesky, wrap_angle
+from jink.estimators.kalman import gaussian_update, posterior_from_deviations, predict_linear
+from jink.estimators.linalg import cholesky, copy_matrix, offset_rows, wrap_angle
 from jink.estimators.pieces import MATRIX, PROGRAM, VECTOR, WORK, piece
 from jink.estimators.unscented import draw_points, point_weights, points_mean, unscented_predict
 
@@ -19,11 +19,12 @@ _NODE_WEIGHTS = (0.2777777777777778, 0.4444444444444444, 0.2777777777777778)
 @inner_kernel
 def kinematics_of(program, j, x, out):
     """Position and velocity (2A,) of a state of mode ``j``."""
-    if program.kin_index[j, 0] >= 0:
+    index = program.kin_index[j]
+    if index[0] >= 0:
         for i in range(out.size):
-            out[i] = x[program.kin_index[j, i]]
+            out[i] = x[index[i]]
     else:
-        call_kinematics(program.kinematics[j], x[: program.sizes[j]], program.params[j], out)
+        call_kinematics(program.kinematics[j], x[: program.sizes[j]], program.params[j, : program.param_counts[j]], out)
 
 
 @inner_kernel
@@ -38,8 +39,9 @@ def process_noise(program, work, j, x, dt, Q):
         for k in range(Q.shape[1]):
             Q[i, k] = 0.0
     if program.noise[j] != 0:
-        call_noise(program.noise[j], x[:n], dt, program.params[j], Q[:n, :n])
+        call_noise(program.noise[j], x[:n], dt, program.params[j, : program.param_counts[j]], Q[:n, :n])
         return
+    params = program.params[j, : program.param_counts[j]]
     for c in range(n):
         density = program.diffusion[j, c]
         if density > 0.0:
@@ -49,13 +51,9 @@ def process_noise(program, work, j, x, dt, Q):
                 for i in range(n):
                     work.points[0, i] = x[i]
                 work.points[0, c] = x[c] + step
-                call_transition(
-                    program.transition[j], work.points[0, :n], duration, program.params[j], work.moved[0, :n]
-                )
+                call_transition(program.transition[j], work.points[0, :n], duration, params, work.moved[0, :n])
                 work.points[0, c] = x[c] - step
-                call_transition(
-                    program.transition[j], work.points[0, :n], duration, program.params[j], work.moved[1, :n]
-                )
+                call_transition(program.transition[j], work.points[0, :n], duration, params, work.moved[1, :n])
                 scale = dt * _NODE_WEIGHTS[node] * density / (4.0 * step * step)
                 for i in range(n):
                     slope = work.moved[0, i] - work.moved[1, i]
@@ -65,18 +63,22 @@ def process_noise(program, work, j, x, dt, Q):
 
 @inner_kernel
 def transition_tables(program, work, j, x, dt):
-    """F, F' and Q of a linear mode for this ``dt``, computed only when ``dt`` changed."""
+    """F' and Q of a linear mode for this ``dt``, computed only when ``dt`` changed."""
     if work.cached_dt[j] == dt:
         return
     n = program.sizes[j]
+    unit, address, params, rows = (
+        work.vector,
+        program.transition[j],
+        program.params[j, : program.param_counts[j]],
+        work.F_transposed[j],
+    )
     for c in range(n):
-        for i in range(n):
-            work.points[0, i] = 0.0
-        work.points[0, c] = 1.0
-        call_transition(program.transition[j], work.points[0, :n], dt, program.params[j], work.moved[0, :n])
-        for i in range(n):
-            work.F[j, i, c] = work.moved[0, i]
-            work.F_transposed[j, c, i] = work.moved[0, i]
+        unit[c] = 0.0
+    for c in range(n):
+        unit[c] = 1.0
+        call_transition(address, unit[:n], dt, params, rows[c, :n])
+        unit[c] = 0.0
     process_noise(program, work, j, x, dt, work.Q[j])
     work.cached_dt[j] = dt
 
@@ -91,12 +93,12 @@ def predict_mode(program, work, j, m, P, dt, m_out, P_out):
     n = program.sizes[j]
     if program.linear[j]:
         transition_tables(program, work, j, m, dt)
-        predict_linear(m, P, work.F[j], work.F_transposed[j], work.Q[j], n, work.product, m_out, P_out)
+        predict_linear(m, P, work.F_transposed[j], work.Q[j], n, work.product, m_out, P_out)
         return True
     process_noise(program, work, j, m, dt, work.Q[j])
     return unscented_predict(
-        program.transition[j], program.params[j], dt, m, P, work.Q[j], n, program.tuning,
-        work.upper, work.points, work.moved, work.scaled, m_out, P_out,
+        program.transition[j], program.params[j, : program.param_counts[j]], dt, m, P, work.Q[j], n, program.tuning,
+        work.upper, work.points, work.moved, m_out, P_out,
     )  # fmt: skip
 
 
@@ -108,62 +110,94 @@ def measure_mode(program, work, j, m, P, sensor, z, d):
     from the prediction, so Q is seen. Angles are averaged about the centre point and wrapped.
     """
     n = program.sizes[j]
-    present = work.present
-    if program.sensor_linear and program.kin_index[j, 0] >= 0:
-        kin = work.kin.size
+    present, kin, index = work.present, work.kin, program.kin_index[j]
+    S, R, H, cross, innovation = work.S, work.R, work.H, work.cross, work.innovation[j]
+    angular = program.sensor_angular
+    if program.sensor_linear and index[0] >= 0:
+        matrix, wide = program.sensor_matrix, P.shape[1]
         for a in range(d):
-            for c in range(P.shape[1]):
-                work.H[a, c] = 0.0
-                work.cross[a, c] = 0.0
+            for c in range(wide):
+                H[a, c] = 0.0
+                cross[a, c] = 0.0
             predicted = 0.0
-            for i in range(kin):
-                entry = program.sensor_matrix[present[a], i]
+            for i in range(kin.size):
+                entry = matrix[present[a], i]
                 if entry != 0.0:
-                    index = program.kin_index[j, i]
-                    work.H[a, index] = entry
-                    predicted += entry * m[index]
-                    for c in range(P.shape[1]):
-                        work.cross[a, c] += entry * P[index, c]
+                    row = index[i]
+                    H[a, row] = entry
+                    predicted += entry * m[row]
+                    for c in range(wide):
+                        cross[a, c] += entry * P[row, c]
             v = z[present[a]] - predicted
-            work.innovation[j, a] = wrap_angle(v) if program.sensor_angular[present[a]] else v
+            innovation[a] = wrap_angle(v) if angular[present[a]] else v
         for a in range(d):
             for b in range(d):
-                total = work.R[a, b]
-                for i in range(kin):
-                    entry = program.sensor_matrix[present[b], i]
+                value = R[a, b]
+                for i in range(kin.size):
+                    entry = matrix[present[b], i]
                     if entry != 0.0:
-                        total += entry * work.cross[a, program.kin_index[j, i]]
-                work.S[a, b] = total
+                        value += entry * cross[a, index[i]]
+                S[a, b] = value
         return True, True
-    good = cholesky(P, n, work.upper)
+    points, seen, sensed, mean = work.points, work.seen, work.sensed, work.vector
+    observe, params = program.observe, program.sensor_params
+    upper = work.upper
+    good = cholesky(P, n, upper)
     radius, centre, other = point_weights(n, program.tuning[0], program.tuning[1], program.tuning[2])
-    draw_points(m, work.upper, n, radius, work.points)
+    draw_points(m, upper, n, radius, points)
     count = 2 * n + 1
     for s in range(count):
-        kinematics_of(program, j, work.points[s], work.kin)
-        call_observe(program.observe, work.kin, sensor, program.sensor_params, work.sensed)
+        kinematics_of(program, j, points[s], kin)
+        call_observe(observe, kin, sensor, params, sensed)
         for a in range(d):
-            value = work.sensed[present[a]]
-            if s > 0 and program.sensor_angular[present[a]]:
-                value = work.seen[0, a] + wrap_angle(value - work.seen[0, a])
-            work.seen[s, a] = value
-    points_mean(work.seen, count, d, other, work.vector)
+            value = sensed[present[a]]
+            if s > 0 and angular[present[a]]:
+                value = seen[0, a] + wrap_angle(value - seen[0, a])
+            seen[s, a] = value
+    points_mean(seen, count, d, other, mean)
     for a in range(d):
-        v = z[present[a]] - work.vector[a]
-        work.innovation[j, a] = wrap_angle(v) if program.sensor_angular[present[a]] else v
+        v = z[present[a]] - mean[a]
+        innovation[a] = wrap_angle(v) if angular[present[a]] else v
         for c in range(P.shape[1]):
-            work.cross[a, c] = 0.0
+            cross[a, c] = 0.0
         for b in range(d):
-            work.S[a, b] = work.R[a, b]
+            S[a, b] = R[a, b]
     for s in range(count):
         weight = centre if s == 0 else other
         for a in range(d):
-            scaled = weight * work.seen[s, a]
+            scaled = weight * seen[s, a]
             for b in range(d):
-                work.S[a, b] += scaled * work.seen[s, b]
-            for c in range(n):
-                work.cross[a, c] += scaled * (work.points[s, c] - m[c])
+                S[a, b] += scaled * seen[s, b]
+    for s in range(n):  # from the root, not from points - m: next to a large m the points have lost its digits
+        for a in range(d):
+            scaled = other * radius * (seen[1 + s, a] - seen[1 + n + s, a])
+            for c in range(s, n):
+                cross[a, c] += scaled * upper[s, c]
     return False, good
+
+
+@piece(types.void, PROGRAM, WORK, types.int64, types.boolean, MATRIX, types.int64, MATRIX)
+def careful_covariance(program, work, j, linear, P, d, P_out):
+    """Posterior covariance of mode ``j`` where the short form cancels; after `measure_mode` and the update."""
+    n, root, points, seen, H = program.sizes[j], work.upper, work.points, work.seen, work.H
+    if linear:
+        radius, centre, other, count = 1.0, 1.0, 1.0, n
+        cholesky(P, n, root)
+        copy_matrix(root, points, n)
+        for s in range(n):
+            for a in range(d):
+                seen[s, a] = 0.0
+                for c in range(n):
+                    seen[s, a] += H[a, c] * root[s, c]
+    else:
+        radius, centre, other = point_weights(n, program.tuning[0], program.tuning[1], program.tuning[2])
+        count = 2 * n + 1
+        for c in range(n):
+            points[0, c] = 0.0
+        offset_rows(root, n, radius, points)
+    posterior_from_deviations(
+        points, seen, count, centre, other, work.R, work.cross, work.factor, d, n, work.gain, P_out
+    )  # fmt: skip
 
 
 _UPDATED = types.Tuple((types.float64, types.float64, types.boolean))
@@ -173,25 +207,26 @@ _UPDATED = types.Tuple((types.float64, types.float64, types.boolean))
 def update_mode(program, work, j, m, P, sensor, z, d, m_out, P_out):
     """Posterior of mode ``j`` given the ``d`` components present; returns (log density, NIS, whether all went well)."""
     linear, good = measure_mode(program, work, j, m, P, sensor, z, d)
-    for a in range(d):
-        for c in range(d):
-            work.S_modes[j, a, c] = work.S[a, c]
-    log_density, nis, definite = gaussian_update(
-        m, P, work.H, linear, work.R, work.cross, work.S, work.innovation[j], d, program.sizes[j],
+    copy_matrix(work.S, work.S_modes[j], d)
+    log_density, nis, definite, lost = gaussian_update(
+        m, P, work.R, work.cross, work.S, work.innovation[j], d, program.sizes[j],
         work.factor, work.gain, work.whitened, m_out, P_out,
     )  # fmt: skip
+    if lost:
+        careful_covariance(program, work, j, linear, P, d, P_out)
     return log_density, nis, good and definite
 
 
 @piece(types.boolean, PROGRAM, WORK, types.int64, VECTOR, MATRIX, VECTOR, MATRIX)
 def mode_kinematics(program, work, j, m, P, mean_out, cov_out):
     """Mean (2A,) and covariance (2A, 2A) of position and velocity of mode ``j`` (unscented where nonlinear)."""
-    kin = mean_out.size
-    if program.kin_index[j, 0] >= 0:
+    kin, index = mean_out.size, program.kin_index[j]
+    if index[0] >= 0:
         for a in range(kin):
-            mean_out[a] = m[program.kin_index[j, a]]
+            row = index[a]
+            mean_out[a] = m[row]
             for b in range(kin):
-                cov_out[a, b] = P[program.kin_index[j, a], program.kin_index[j, b]]
+                cov_out[a, b] = P[row, index[b]]
         return True
     n = program.sizes[j]
     good = cholesky(P, n, work.upper)

@@ -43,11 +43,12 @@ def locate_ranges(sensor: Sensor, z: Array, R: Array, sensor_state: Array) -> Lo
     # In the plane of its anchors a range changes with the square of the height: sd sqrt(2 r sigma), not inf.
     worst = math.sqrt(float(np.max(np.diag(noise))))
     floor = 1.0 / (2.0 * float(np.max(np.abs(ranges_seen))) * worst + 1e-300)
-    cov = (vectors / np.maximum(values, floor)) @ vectors.T
+    values = np.maximum(values, floor)
     spare = len(ranges_seen) - axes
     if cost > _surprising(spare):
-        cov = cov * (cost / spare)
-    rival = next((fit for fit in fits[1:] if _apart(fit[0] - place, cov)), None)
+        values = values * (spare / cost)
+    cov = (vectors / values) @ vectors.T
+    rival = next((fit for fit in fits[1:] if ((fit[0] - place) @ vectors) ** 2 @ values > 4.0), None)
     if rival is not None and rival[1] - cost < 18.0:
         weight = 1.0 / (1.0 + math.exp(0.5 * (rival[1] - cost)))
         cov = cov + weight * np.outer(rival[0] - place, rival[0] - place)
@@ -57,10 +58,6 @@ def locate_ranges(sensor: Sensor, z: Array, R: Array, sensor_state: Array) -> Lo
 @cache
 def _surprising(dof: int) -> float:
     return float(chi2.ppf(0.999, dof))
-
-
-def _apart(offset: Array, cov: Array) -> bool:
-    return bool(offset @ np.linalg.solve(cov, offset) > 4.0)
 
 
 def _range_starts(anchors: Array, distances: Array) -> list[Array]:
@@ -91,7 +88,7 @@ def _fit_ranges(start: Array, anchors: Array, distances: Array, whiten: Array) -
         step = np.linalg.solve(information + ridge, -slope.T @ residual)
         trial_residual, trial_slope = _range_residual(place + step, anchors, distances, whiten)
         if trial_residual @ trial_residual <= residual @ residual:
-            place, residual, slope, damping = place + step, trial_residual, trial_slope, damping * 0.2
+            place, residual, slope, damping = place + step, trial_residual, trial_slope, max(0.2 * damping, 1e-12)
         else:
             damping = max(damping, 1e-6) * 8.0
         if step @ information @ step < 1e-12:

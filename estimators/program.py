@@ -47,6 +47,7 @@ class Program(NamedTuple):
     angular: NDArray[np.bool_]  # (M, N) components to wrap
     diffusion: Floats  # (M, N) white noise where noise() is missing
     params: Floats  # (M, Pm)
+    param_counts: Ints  # (M,) constants of each motion
     birth_mean: Floats  # (M, K)
     birth_cov: Floats  # (M, K, K)
     transition: Ints  # (M,) addresses
@@ -78,7 +79,6 @@ class Work(NamedTuple):
     """Scratch of one track; nothing in it outlives a call except the tables cached by time step."""
 
     cached_dt: Floats
-    F: Floats
     F_transposed: Floats
     Q: Floats
     weights: Floats
@@ -136,7 +136,6 @@ def make_work(modes: int, states: int, own: int, measured: int, kin: int) -> Wor
     cached_dt = np.full(modes + 1, np.nan)
     return Work(
         cached_dt,
-        np.zeros((modes, states, states)),
         np.zeros((modes, states, states)),
         np.zeros((modes, states, states)),
         np.zeros(max(modes, 1)),
@@ -262,6 +261,7 @@ def make_program(
         angular=angular,
         diffusion=diffusion,
         params=params,
+        param_counts=np.array([len(motion.params) for motion in motions], dtype=np.int64),
         birth_mean=birth_mean,
         birth_cov=birth_cov,
         transition=addresses("transition"),
@@ -328,7 +328,8 @@ def _example() -> Program:
     ints, floats, flags = np.zeros(0, np.int64), np.zeros((0, 0)), np.zeros(0, np.bool_)
     tables = np.zeros((0, 0), np.int64)
     return Program(
-        ints, ints, ints, tables, tables, flags, flags.reshape(0, 0), floats, floats, floats, floats.reshape(0, 0, 0),
+        ints, ints, ints, tables, tables, flags, flags.reshape(0, 0), floats, floats, ints, floats,
+        floats.reshape(0, 0, 0),
         ints, ints, ints, ints, ints, 0, False, tables.reshape(0, 0, 0), flags.reshape(0, 0), tables,
         flags.reshape(0, 0), 0, np.zeros(0), False, floats, flags, np.zeros(0), False, floats, 0.0, 0.0, 0.0, False,
     )  # fmt: skip

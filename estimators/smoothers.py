@@ -104,7 +104,9 @@ def _pair_prediction(program, work, i, j, m, P, m_own, P_own, dt, near, ahead_me
                     converted[program.own_index[i, k]] = work.own[k]
         else:
             convert_point(program, work, i, j, points[s], work.own, converted)
-        call_transition(program.transition[i], converted[:size], dt, program.params[i], moved[s, :size])
+        call_transition(
+            program.transition[i], converted[:size], dt, program.params[i, : program.param_counts[i]], moved[s, :size]
+        )
         for c in range(size):
             if program.angular[i, c]:
                 anchor = near[c] if s == 0 else moved[0, c]

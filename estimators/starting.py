@@ -75,7 +75,7 @@ def start_prior(
         sensor: the sensor.
         z: measurements; (T, D); NaN = missing; rows entirely missing are skipped.
         times: increasing; (T,); s.
-        R: measurement noise; (T, D, D); where it is not finite, the sensor's default.
+        R: measurement noise; (T, D, D); where it is no covariance, the sensor's default.
         sensor_states: sensor position and velocity; (T, 2 A); None: at rest in the origin.
         speed: standard deviation of the target's velocity along each axis; m/s.
         area: where targets appear, centre (A,) and standard deviation; m. A prior on position for fits too.
@@ -100,7 +100,7 @@ def start_prior(
     solutions: Array | None = None
     previous = 0
     for rank, row in enumerate(present):
-        noise = R[row] if np.isfinite(R[row]).all() else sensor.noise
+        noise = R[row] if _definite(R[row]) else sensor.noise
         located = None if sensor.locate is None else sensor.locate(sensor, z[row], noise, states[row])
         if located is not None:
             return _from_location(sensor, int(row), located, z[row], noise, states[row], speed)
@@ -167,7 +167,7 @@ def start_batch(
         first = np.argmax(any_seen, axis=1)
         each = np.arange(tracks)
         noise = R[each, first]
-        fast = finite[each, first].all(axis=1) & np.isfinite(noise).all(axis=(1, 2))
+        fast = finite[each, first].all(axis=1) & _definite(noise)
         chosen = each[fast]
         batch.index[chosen] = first[chosen]
         batch.position[chosen] = z[chosen, first[chosen]]
@@ -184,6 +184,15 @@ def start_batch(
         batch.position[track], batch.velocity[track] = start.position, start.velocity
         batch.covariance[track] = start.covariance
     return batch
+
+
+def _definite(noise: Array) -> NDArray[np.bool_]:
+    """Which matrices (..., D, D) are finite and positive definite (scaled to unit variances)."""
+    variances = np.diagonal(noise, axis1=-2, axis2=-1)
+    sound = np.asarray(np.isfinite(noise).all(axis=(-2, -1)) & (variances > 0).all(axis=-1))
+    scale = np.sqrt(np.where(sound[..., None], variances, 1.0))
+    scaled = np.where(sound[..., None, None], noise, 0.0) / scale[..., :, None] / scale[..., None, :]
+    return np.asarray(sound & (np.linalg.eigvalsh(scaled)[..., 0] > 0.0))
 
 
 def _checked_prior(axes: int, speed: float, area: Area | None) -> tuple[Array, float] | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from jink.estimators.compiled import call_transition, kernel
-from jink.estimators.linalg import centre_rows, cholesky, copy_matrix, offset_rows, outer_add
+from jink.estimators.linalg import centre_rows, cholesky, copy_matrix, offset_rows, outer_add, padded
 
 __all__ = ["draw_points", "point_weights", "points_covariance", "points_mean", "unscented_predict"]
 
@@ -40,21 +40,21 @@ def points_mean(points, count, n, other, mean):
 
     The weights sum to one, so ``w0 X_0 + w sum X_i = X_0 + w sum (X_i - X_0)``, with less rounding.
     """
+    for s in range(count):  # whole vectors are worked on below: what a longer mode left there must not survive
+        for c in range(n, padded(n)):
+            points[s, c] = 0.0
     centre_rows(points, count, n, other, mean)
 
 
 @kernel
-def points_covariance(points, scaled, count, n, centre, other, out):
-    """``out += sum_s wc[s] points[s] points[s]'`` of deviations; ``scaled`` is scratch of the same shape."""
-    for s in range(count):
-        weight = centre if s == 0 else other
-        for c in range(n):
-            scaled[s, c] = weight * points[s, c]
-    outer_add(out, scaled, points, count, 1.0, n)
+def points_covariance(points, count, n, centre, other, out):
+    """``out += sum_s wc[s] points[s] points[s]'`` of deviations; the centre point has its own weight."""
+    outer_add(out, points, points, 0, 1, centre, n)
+    outer_add(out, points, points, 1, count, other, n)
 
 
 @kernel
-def unscented_predict(transition, params, dt, m, P, Q, n, tuning, upper, points, moved, scaled, m_out, P_out):
+def unscented_predict(transition, params, dt, m, P, Q, n, tuning, upper, points, moved, m_out, P_out):
     """Predicted mean and covariance of a nonlinear transition; returns whether P was positive semidefinite.
 
     Model: ``m- = sum wm f(X_i)``, ``P- = sum wc (f(X_i) - m-)(f(X_i) - m-)' + Q``.
@@ -63,7 +63,7 @@ def unscented_predict(transition, params, dt, m, P, Q, n, tuning, upper, points,
         transition, params, dt: address of ``f``, its constants, seconds.
         m, P, Q: posterior and process noise; (n,), (n, n), (n, n).
         tuning: alpha, beta, kappa; (3,).
-        upper, points, moved, scaled: scratch (n, n), (2 n + 1, n) three times.
+        upper, points, moved: scratch (n, n), (2 n + 1, n) twice.
         m_out, P_out: prediction; must not overlap ``m``, ``P``.
 
     Source: Julier & Uhlmann (2004); CN202211553542 claim 3, A2-A6. Differs: mean taken about the centre
@@ -77,5 +77,5 @@ def unscented_predict(transition, params, dt, m, P, Q, n, tuning, upper, points,
         call_transition(transition, points[s, :n], dt, params, moved[s, :n])
     points_mean(moved, count, n, other, m_out)
     copy_matrix(Q, P_out, n)
-    points_covariance(moved, scaled, count, n, centre, other, P_out)
+    points_covariance(moved, count, n, centre, other, P_out)
     return good

@@ -115,7 +115,7 @@ def _published(request: BenchRequest) -> Iterator[Job]:
             status="diverged" if lost > 0.5 else "ok",
             reason=f"{100 * lost:.0f} % of steps diverged" if lost > 0.5 else "",
             published=compared,
-            parameters=outcome.parameters,
+            parameters={"scenario": known.scenario, "estimator": known.estimator},
             steps=outcome.steps,
             seconds=time.perf_counter() - began,
             started=started,

@@ -152,14 +152,12 @@ def track_command(
             console.print(f"wrote {path}", markup=False)
 
 
-@app.command("list")
+@app.command(
+    "list",
+    help="Name the estimators, motions, sensors, scenarios and suites.\n\nExample:\n\n  jink list",
+)
 def list_command() -> None:
-    """Name the estimators, motions, sensors, scenarios and suites.
-
-    Example:
-
-      jink list
-    """
+    """Name the estimators, motions, sensors, scenarios and suites."""
     from jink.training.catalogue import print_catalogue
 
     print_catalogue(screen())

@@ -17,6 +17,8 @@ __all__ = ["check_writable", "progress", "run_command", "say_when_compiling", "s
 
 PATIENCE_S = 2.0
 """A progress bar appears after this long."""
+STOPPED = 130
+"""Exit code after Ctrl-C, as shells have it."""
 
 
 def screen() -> Console:
@@ -125,9 +127,9 @@ def run_command(call: Callable[[], Any]) -> int:
     """
     try:
         result = call()
+        code = result if isinstance(result, int) else 0
     except KeyboardInterrupt:
-        stderr().print("jink: stopped; files written so far are complete.")
-        return 130
+        code = STOPPED
     except BrokenPipeError:
         # The reader of a pipe (head, less) has seen enough.
         sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115
@@ -136,11 +138,13 @@ def run_command(call: Callable[[], Any]) -> int:
         stderr().print(f"jink: {_sentence(error)}", markup=False)
         return 2
     except Exception as error:
-        code = _usage_code(error)
-        if code is None:
+        found = _usage_code(error)
+        if found is None:
             raise
-        return code
-    return result if isinstance(result, int) else 0
+        code = found
+    if code == STOPPED:
+        stderr().print("jink: stopped; files written so far are complete.")
+    return code
 
 
 def _sentence(error: Exception) -> str:
@@ -154,8 +158,7 @@ def _usage_code(error: Exception) -> int | None:
     """Exit code of a command-line mistake (typer's own exceptions, wherever they live), None for others."""
     name = type(error).__name__
     if name == "Abort":
-        stderr().print("jink: stopped; files written so far are complete.")
-        return 130
+        return STOPPED
     if name == "Exit":
         return int(getattr(error, "exit_code", 0))
     message = getattr(error, "format_message", None)

@@ -10,14 +10,15 @@ import matplotlib as mpl
 
 mpl.use("Agg")
 
-import matplotlib.pyplot as plt  # noqa: E402  (after the choice of backend)
-import numpy as np  # noqa: E402
-from matplotlib.collections import EllipseCollection, LineCollection  # noqa: E402
-from numpy.typing import NDArray  # noqa: E402
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+from numpy.typing import NDArray
 
-from jink.envs.estimates_file import STATUS_NAMES  # noqa: E402
-from jink.training.running import raw_positions  # noqa: E402
-from jink.training.track import TrackReport  # noqa: E402
+from jink.envs.estimates_file import STATUS_NAMES
+from jink.training.running import raw_positions
+from jink.training.track import TrackReport
 
 __all__ = ["plot_track"]
 
@@ -28,6 +29,7 @@ MODE_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9"
 _MEASURED, _TRUE, _BROKEN = "#999999", "#000000", "#D55E00"
 _ELLIPSES = 14
 _MARGIN = 0.06
+_PANEL_RATIO = 1.3
 
 
 def plot_track(path: Path, report: TrackReport, shown: str | None = None) -> None:
@@ -132,10 +134,15 @@ def _draw_map(axis: Any, report: TrackReport, b: int, T: int) -> None:
         if forecast.track == tracks.ids[b]:
             axis.plot(*forecast.mean[:2], "*", color=_BROKEN, ms=10, label="forecast", zorder=5)
     middle, half = (low + high) / 2, (high - low) / 2 + _MARGIN * size
-    half = np.maximum(half, 0.25 * size)
+    # As wide as the panel, so that the map lines up with the strips below it.
+    half = np.maximum(half, [_PANEL_RATIO * half[1], half[0] / _PANEL_RATIO])
+    scale, unit = (1e-3, "km") if size > 20_000.0 else (1.0, "m")
     axis.set(xlim=(middle[0] - half[0], middle[0] + half[0]), ylim=(middle[1] - half[1], middle[1] + half[1]))
     axis.set_aspect("equal", adjustable="box")
-    axis.set(xlabel="x, m", ylabel="y, m")
+    for side, name in ((axis.xaxis, "x"), (axis.yaxis, "y")):
+        side.set_major_locator(MaxNLocator(7))
+        side.set_major_formatter(FuncFormatter(lambda value, _: f"{scale * value:g}"))
+        side.set_label_text(f"{name}, {unit}")
     several = f", one of {len(tracks)} tracks" if len(tracks) > 1 else ""
     left = f"; {outside} measurements outside the picture" if outside else ""
     axis.set_title(f"{report.estimator} on {tracks.source}: {tracks.ids[b]}{several}{left}", loc="left", fontsize=9)

@@ -32,11 +32,11 @@ class Reading:
     skip: str = ""
 
 
-def _reading(pattern: str, skip: str = "", **options: Any) -> Reading:
+def _reading(pattern: str, /, skip: str = "", **options: Any) -> Reading:
     return Reading(pattern, tuple(options.items()), skip)
 
 
-_UWB = {"axes": 2, "truth": "{stem}_truth.csv", "truth_columns": "t=time_aligned"}
+_UWB: dict[str, Any] = {"axes": 2, "truth": "{stem}_truth.csv", "truth_columns": "t=time_aligned"}
 READINGS = (
     _reading("*_truth.csv", "truth of other files"),
     _reading("*_odometry.csv", "odometry, not a track"),

@@ -69,7 +69,7 @@ def _print_outcome(console: Console, report: TrackReport) -> None:
     console.print(
         f"[bold]{report.estimator}[/bold]: "
         + ", ".join(f"{count} {name}" for name, count in zip(STATUS_NAMES, counts, strict=True) if count)
-        + f"; {1e6 * report.seconds / steps:.2f} us per step, starting and compiling included"
+        + f"; {1e6 * report.seconds / steps:.2f} us per step, starting included"
     )
     low, high, mean = scores["nis_low"], scores["nis_high"], scores["nis_per_dof"]
     verdict = "consistent" if low <= mean <= high else "cautious" if mean < low else "too sure of itself"

@@ -74,7 +74,7 @@ def print_recorded(console: Console, rows: pd.DataFrame) -> None:
         (rows["status"] == "skipped") & ~rows["scenario"].isin(set(rows.loc[rows["status"] == "ok", "scenario"]))
     ]
     for reason, group in skipped.groupby("reason", sort=False):
-        names = ", ".join(dict.fromkeys(PurePosixPath(str(name)).name for name in group["scenario"]))
+        names = ", ".join(dict.fromkeys(_short(name) for name in group["scenario"]))
         console.print(f"skipped, {escape(str(reason))}: {escape(names)}", style="dim")
     _print_reasons(console, rows)
 
@@ -92,14 +92,22 @@ def _print_grid(
         for estimator in estimators:
             first, second = (cells.get((scenario, estimator, metric)) for metric in metrics)
             shown.append("-" if first is None else f"{number(first)} ({number(second, 3)})")
-        table.add_row(escape(PurePosixPath(str(scenario)).name), *shown)
+        table.add_row(escape(_short(scenario)), *shown)
     console.print(table)
 
 
 def _print_reasons(console: Console, rows: pd.DataFrame) -> None:
     for status, style in (("diverged", "yellow"), ("error", "red")):
-        for row in rows[rows["status"] == status].drop_duplicates(["scenario", "estimator"]).itertuples():
-            console.print(f"{status}: {row.scenario}, {row.estimator}: {row.reason}", style=style, markup=False)
+        marked = rows[rows["status"] == status]
+        for (scenario, reason), group in marked.groupby(["scenario", "reason"], sort=False):
+            names = ", ".join(dict.fromkeys(map(str, group["estimator"])))
+            console.print(f"{status}: {_short(scenario)} ({names}): {reason}", style=style, markup=False)
+
+
+def _short(scenario: Any) -> str:
+    """A file without its folder; a pattern as it is."""
+    name = str(scenario)
+    return name if "*" in name else PurePosixPath(name).name
 
 
 def _number(value: Any) -> float:

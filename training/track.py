@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,7 +23,7 @@ from jink.training.tuning import sensor_of, tune
 
 __all__ = ["Choice", "Parameter", "TrackReport", "TrackRequest", "choose", "estimate", "read", "track"]
 
-_SOJOURN_S = 10.0
+_SOJOURN_S, _WARM_ROWS = 10.0, 60
 
 
 @dataclass(frozen=True)
@@ -145,6 +145,12 @@ def estimate(request: TrackRequest, tracks: Tracks, choice: Choice) -> TrackRepo
     if request.gate:
         with progress(f"gate: {tracks.source}", rows) as advance:
             used, rejected = gate_tracks(estimator, tracks, use_noise=use_noise, advance=advance)
+    head = replace(
+        tracks.subset([0]),
+        **{name: value[:1, :_WARM_ROWS] for name, value in _arrays(tracks).items()},
+        lengths=np.minimum(tracks.lengths[:1], _WARM_ROWS),
+    )
+    run_tracks(estimator, head, use_noise=use_noise, smooth=request.smooth)  # compiles, so the clock need not
     with progress(f"{request.estimator}: {tracks.source}", rows) as advance:
         began = time.perf_counter()
         estimates = run_tracks(estimator, used, use_noise=use_noise, smooth=request.smooth, advance=advance)
@@ -165,6 +171,12 @@ def estimate(request: TrackRequest, tracks: Tracks, choice: Choice) -> TrackRepo
         seconds=seconds,
         rejected=rejected,
     )
+
+
+def _arrays(tracks: Tracks) -> dict[str, Any]:
+    """The arrays of a container that have tracks and times in front."""
+    names = ("times", "measurements", "noise", "sensor_states", "truth", "truth_velocity", "intents", "sensor_ids")
+    return {name: value for name in names if (value := getattr(tracks, name)) is not None}
 
 
 def _check_numbers(request: TrackRequest) -> None:

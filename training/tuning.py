@@ -51,7 +51,7 @@ class Tuning(NamedTuple):
     tuned: tuple[str, ...]
 
 
-def sensor_of(tracks: Tracks, sigma: Sequence[float] | None = None) -> Sensor:
+def sensor_of(tracks: Tracks, sigma: Sequence[float] | Floats | None = None) -> Sensor:
     """The sensor that the tracks were measured with.
 
     Args:
@@ -124,7 +124,7 @@ def tune(
 
     First the balance: a coarse grid over log sigma and log acceleration, then Nelder-Mead, on a Student-t
     likelihood that no outlier can bend. Then the size: sigma and acceleration together (the gains stay) so that
-    the NIS, its upper 2 % left out, is what it should be. Deterministic. Components that measure the same thing
+    the NIS, its upper tenth left out, is what it should be. Deterministic. Components that measure the same thing
     (x and y) share a sigma; none is below the quantisation of its component; sigmas in the file are kept.
 
     Args:
@@ -211,7 +211,7 @@ def tune(
     return Tuning(values, density, found_speed or DEFAULT_SPEED, best, evaluations, tuned)
 
 
-def _trimmed_nis(estimates: Any, used: NDArray[np.bool_], share: float = 0.98) -> float:
+def _trimmed_nis(estimates: Any, used: NDArray[np.bool_], share: float = 0.9) -> float:
     """Mean NIS over its expectation, of the lower `share` of steps; at least 1/4, at most 100; 1 without steps."""
     dof = np.asarray(estimates.nis_dof)
     counted = used & (dof > 0)
