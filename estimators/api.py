@@ -28,7 +28,7 @@ from jink.estimators.cycle import (
     make_state,
 )
 from jink.estimators.forecasting import forecast_states
-from jink.estimators.inputs import Prior, check_inputs
+from jink.estimators.inputs import Prior, check_inputs, check_moments
 from jink.estimators.program import Program, make_work
 from jink.estimators.reference import Pinned, pin
 from jink.estimators.smoothers import make_smoother, smooth_tracks
@@ -76,6 +76,8 @@ class BankEstimator:
     def __init__(self, bank: Bank, name: str = "bank", threads: int | None = None) -> None:
         self.bank = bank
         self.name = name
+        if threads is not None and not threads >= 1:
+            raise ValueError(f"make_estimator: threads must be >= 1; got {threads}. Leave it out to use all cores.")
         self.threads = threads or os.cpu_count() or 1
 
     @property
@@ -173,7 +175,7 @@ class BankEstimator:
         states = self._program.angular.shape[1]
         chunk = max(1, int(_SMOOTHER_BYTES / (8.0 * max(rows, 1) * len(self.modes) * states * (states + 1))))
         parts = []
-        for begin in range(0, tracks, chunk):
+        for begin in range(0, max(tracks, 1), chunk):
             part = _tracks(inputs, begin, min(begin + chunk, tracks))
             _, outputs, history = self._filter(
                 part, _prior_part(prior, begin, begin + part.measurements.shape[0]), True, progress
@@ -394,9 +396,10 @@ class BankEstimator:
                 )
             inputs.first[:] = started.index
             used = started.seen > 0
-            state.time[:] = np.take_along_axis(
-                np.broadcast_to(inputs.times, (tracks, rows)), np.minimum(inputs.first, rows - 1)[:, None], axis=1
-            )[:, 0]
+            if rows:
+                state.time[:] = np.take_along_axis(
+                    np.broadcast_to(inputs.times, (tracks, rows)), np.minimum(inputs.first, rows - 1)[:, None], axis=1
+                )[:, 0]
             state.phase[:] = np.where(used, LOCATED, PRIOR)
             begin_tracks(
                 self._handle.handle,
@@ -446,7 +449,10 @@ class BankEstimator:
         tracks = len(state.time)
         if isinstance(prior.mean, list) and len(prior.mean) == len(self.modes) and np.ndim(prior.mean[0]) == 1:
             if not isinstance(prior.cov, list) or len(prior.cov) != len(self.modes):
-                raise ValueError("Prior: cov must be a list with one matrix per mode, as mean is. Give both alike.")
+                raise ValueError(
+                    f"Prior: cov must be a list with one matrix per mode, as mean is; got {type(prior.cov).__name__}. "
+                    "Give both alike."
+                )
             for j, mode in enumerate(self.bank.modes):
                 n = mode.motion.size
                 mean, cov = np.asarray(prior.mean[j], dtype=np.float64), np.asarray(prior.cov[j], dtype=np.float64)
@@ -455,11 +461,9 @@ class BankEstimator:
                         f"Prior: mode {mode.name} must have mean ({n},) and cov ({n}, {n}); got {mean.shape} and "
                         f"{cov.shape}. Components are {', '.join(mode.motion.labels)}."
                     )
+                check_moments(mean, cov)
                 state.mean[:, j, :n] = mean
                 state.cov[:, j, :n, :n] = cov
-            first = self.forecast(state, 0.0)  # checks the numbers once, outside the time loop
-            if not np.all(np.isfinite(first[0])):
-                raise ValueError("Prior: mean and cov must be finite; got NaN or inf. Check the prior.")
         else:
             mean = np.asarray(prior.mean, dtype=np.float64)
             cov = np.asarray(prior.cov, dtype=np.float64)
@@ -468,6 +472,7 @@ class BankEstimator:
                     f"Prior: mean must be position and velocity ({kin},) with cov ({kin}, {kin}), or one of each per "
                     f"mode; got {mean.shape} and {cov.shape}. Add zero velocities with a large variance."
                 )
+            check_moments(mean, cov)
             begin_tracks(
                 self._handle.handle,
                 self._work(),
@@ -476,8 +481,19 @@ class BankEstimator:
                 state,
             )
         if prior.mode_probs is not None:
-            state.mode_probs[:] = np.asarray(prior.mode_probs, dtype=np.float64)
-        state.time[:] = inputs.times[:, 0] if prior.time is None else prior.time
+            probs = np.asarray(prior.mode_probs, dtype=np.float64)
+            if probs.shape != (len(self.modes),) or not np.all(probs >= 0) or abs(probs.sum() - 1.0) > 1e-9:
+                raise ValueError(
+                    f"Prior: mode_probs must be {len(self.modes)} probabilities that sum to 1; got {prior.mode_probs}. "
+                    "Divide by the sum."
+                )
+            state.mode_probs[:] = probs
+        begin = inputs.times[:, :1].min(axis=1, initial=np.inf)
+        if prior.time is not None and not (np.isfinite(prior.time) and np.all(prior.time <= begin)):
+            raise ValueError(
+                f"Prior: time must be finite and not after the first row; got {prior.time}. Drop the rows before it."
+            )
+        state.time[:] = np.where(np.isfinite(begin), begin, 0.0) if prior.time is None else prior.time
         state.phase[:] = LOCATED if prior.includes_first else PRIOR
 
     def _parallel(

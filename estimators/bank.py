@@ -88,7 +88,7 @@ class Bank:
                     f"{mode.motion.axes}. Make the motion with axes={self.sensor.axes}."
                 )
         if self.chain is None and len(self.modes) > 1:
-            raise ValueError("Bank: chain must be given for several modes. Use MarkovChain.from_sojourns([...]).")
+            raise ValueError("Bank: chain must be given for several modes; got None. Use MarkovChain.from_sojourns([...]).")
         if self.chain is not None and self.chain.modes != len(self.modes):
             raise ValueError(
                 f"Bank: chain must have one row per mode, {len(self.modes)}; got {self.chain.modes}. "
@@ -105,10 +105,19 @@ class Bank:
                     f"Bank: initial_probs must be {len(self.modes)} probabilities that sum to 1; got "
                     f"{self.initial_probs}. Divide by the sum."
                 )
-        for name, low in (("speed", 0.0), ("alpha", 0.0)):
+        for name, low in (("speed", 0.0), ("alpha", 0.0), ("beta", -np.inf), ("kappa", -np.inf), ("reset_nis", 0.0)):
             value = getattr(self, name)
-            if not (value > low and np.isfinite(value)):
-                raise ValueError(f"Bank: {name} must be > {low:g} and finite; got {value}. Give a positive number.")
+            if value is not None and not (value > low and np.isfinite(value)):
+                raise ValueError(f"Bank: {name} must be > {low:g} and finite; got {value}. Leave it out if in doubt.")
+        if not 0 <= self.reset_prob < 1:
+            raise ValueError(f"Bank: reset_prob must be in [0, 1); got {self.reset_prob}. Use 1e-3.")
+        if self.area is not None:
+            centre, spread = np.asarray(self.area[0], dtype=np.float64), self.area[1]
+            if centre.shape != (self.sensor.axes,) or not np.isfinite(centre).all() or not 0 < spread < np.inf:
+                raise ValueError(
+                    f"Bank: area must be (centre ({self.sensor.axes},), sd > 0), finite; got {self.area}. "
+                    "Give both in metres."
+                )
         largest = max(mode.motion.size for mode in self.modes)
         if not largest + self.kappa > 0:
             raise ValueError(f"Bank: kappa must be > -n = {-largest}; got {self.kappa}. Use 0.")

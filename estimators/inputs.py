@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jink.estimators.bank import Bank
-from jink.estimators.cycle import Inputs
+from jink.estimators.cycle import ABSURD, Inputs
 from jink.estimators.markov import check_transition_matrix
 
-__all__ = ["Prior", "check_inputs"]
+__all__ = ["Prior", "check_inputs", "check_moments"]
 
 Floats = NDArray[np.float64]
+_ROUNDING = 1e-9
 
 
 class Prior(NamedTuple):
@@ -64,7 +65,7 @@ def check_inputs(
         ValueError: a shape, a time that decreases, a noise that is no covariance, a row that is no probability.
     """
     size, kin, modes = bank.sensor.size, 2 * bank.sensor.axes, len(bank.modes)
-    z = np.ascontiguousarray(measurements, dtype=np.float64)
+    z = _numbers(measurements, "measurements", caller)
     if z.ndim == 2:
         z = z[None]
     if z.ndim != 3 or z.shape[2] != size:
@@ -73,7 +74,7 @@ def check_inputs(
             f"got {np.shape(measurements)}. Columns are {', '.join(bank.sensor.labels)}."
         )
     tracks, rows = z.shape[:2]
-    t = np.ascontiguousarray(times, dtype=np.float64)
+    t = _numbers(times, "times", caller)
     if t.ndim == 1:
         t = t[None]
     if t.ndim != 2 or t.shape[1] != rows or t.shape[0] not in (1, tracks):
@@ -83,7 +84,8 @@ def check_inputs(
         )
     counts = np.full(tracks, rows, dtype=np.int64)
     if lengths is not None:
-        counts = np.ascontiguousarray(lengths, dtype=np.int64)
+        given = _numbers(lengths, "lengths", caller)
+        counts = np.where(given == np.floor(given), given, -1).astype(np.int64)
         if counts.shape != (tracks,) or counts.min(initial=0) < 0 or counts.max(initial=0) > rows:
             raise ValueError(
                 f"{caller}: lengths must be {tracks} integers in 0..{rows}; got {np.shape(lengths)} with values "
@@ -119,6 +121,38 @@ def check_inputs(
     )
 
 
+def check_moments(mean: Floats, cov: Floats) -> None:
+    """Refuse a prior that is no Gaussian: mean (..., n), cov (..., n, n); zero variances are allowed.
+
+    Raises:
+        ValueError: not finite, not symmetric, or not positive semidefinite.
+    """
+    if not (np.abs(mean) < ABSURD).all():
+        raise ValueError(f"Prior: mean must be finite (below {ABSURD:g}); got {mean.ravel()[:6]}. Give m and m/s.")
+    variances = np.diagonal(cov, axis1=-2, axis2=-1)
+    if not (np.abs(cov) < ABSURD).all() or (variances < 0).any():
+        raise ValueError(
+            f"Prior: cov must be finite (below {ABSURD:g}) with variances >= 0; got {variances.ravel()[:6]} on its "
+            "diagonal. Use a large variance for what is unknown."
+        )
+    scale = np.sqrt(np.where(variances > 0, variances, 1.0))
+    scaled = cov / scale[..., :, None] / scale[..., None, :]
+    worst = np.abs(scaled - np.swapaxes(scaled, -1, -2)).max(initial=0.0)
+    lowest = np.linalg.eigvalsh(scaled).min(initial=0.0)
+    if worst > _ROUNDING or lowest < -_ROUNDING:
+        raise ValueError(
+            f"Prior: cov must be symmetric and positive semidefinite; got asymmetry {worst:.3g} and an eigenvalue of "
+            f"{lowest:.3g} (of its correlations). Check signs and units."
+        )
+
+
+def _numbers(given: ArrayLike | None, name: str, caller: str) -> Floats:
+    try:
+        return np.ascontiguousarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{caller}: {name} must be numbers in rows of one length; got {error}. Use NaN for gaps.") from None
+
+
 def _shared(
     given: ArrayLike | None,
     shape: tuple[int, ...],
@@ -129,7 +163,7 @@ def _shared(
     caller: str,
 ) -> Floats:
     """``given`` with leading axes (1 or B, 1 or T)."""
-    array = np.ascontiguousarray(default if given is None else given, dtype=np.float64)
+    array = _numbers(default if given is None else given, name, caller)
     extra = array.ndim - len(shape)
     if extra not in (0, 1, 2) or array.shape[extra:] != shape:
         raise ValueError(

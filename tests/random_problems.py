@@ -1,7 +1,7 @@
 """Random small tracking problems for the differential tests: motions and sensors a user would write.
 
-Each returns the parts for this package and the same functions in plain numpy for a peer. Process noise is as large
-as the covariances, so that a filter that forgets to redraw its sigma points is far off.
+Each returns the parts for this package and the same functions in plain numpy for a peer. Process noise is as
+large as the covariances, so that a filter that forgets to redraw its sigma points is far off.
 """
 
 import math
@@ -58,7 +58,7 @@ def _curved(kin, sensor, params, out):
 
 
 def plain(callback, *fixed):
-    """A callback ``f(x, ..., out)`` as an ordinary function that returns a new vector of the size of ``x``."""
+    """A callback ``f(x, ..., out)`` as a function that returns a new vector of the size of ``x``."""
 
     def function(x, *_, **__):
         x = np.asarray(x, dtype=float).ravel()

@@ -81,7 +81,7 @@ def moments(weights, means, covs):
 def run_imm(modes, h, R, chain, probs, means, covs, z, tuning=TUNING):
     """IMM from a posterior at row 0; ``modes`` holds ``(f, Q)``.
 
-    Returns fused means, covariances, mode probabilities, log likelihoods and squared innovations of the mixture.
+    Returns fused means, covariances, mode probabilities, log likelihoods, squared innovations.
     """
     M = len(modes)
     means, covs, probs = [np.array(m) for m in means], [np.array(p) for p in covs], np.array(probs)

@@ -1,4 +1,4 @@
-"""A short track through banks, compiled or (with NUMBA_DISABLE_JIT=1) in plain Python; prints its numbers as JSON."""
+"""A short track through banks, compiled or (NUMBA_DISABLE_JIT=1) in plain Python; prints numbers as JSON."""
 
 import json
 
@@ -10,7 +10,7 @@ from jink.estimators.sensors import position, range_bearing
 
 def numbers():
     """Every estimate of two recipes and two sensors over seven rows, one of them missing: name -> lists."""
-    z = np.cumsum(np.random.default_rng(14).normal(size=(7, 2)) + [2.0, 1.0], axis=0) + 30.0
+    z = np.cumsum(np.random.default_rng(14).normal(size=(7, 2)) + np.array([2.0, 1.0]), axis=0) + 30.0
     z[4] = np.nan
     polar = np.column_stack([np.hypot(*z.T), np.arctan2(z[:, 1], z[:, 0])])
     out = {}

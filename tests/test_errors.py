@@ -35,22 +35,22 @@ def _cv(name: str = "cv", axes: int = 2) -> Mode:
 
 
 def _bank(**changes: object) -> Bank:
-    options: dict[str, object] = dict(
-        modes=(_cv("a"), _cv("b")), sensor=position(2), chain=MarkovChain.from_sojourns([5.0, 5.0])
-    )
+    options: dict[str, object] = {
+        "modes": (_cv("a"), _cv("b")), "sensor": position(2), "chain": MarkovChain.from_sojourns([5.0, 5.0])
+    }
     return Bank(**{**options, **changes})  # type: ignore[arg-type]
 
 
 def _motion(**changes: object) -> Motion:
     flow = constant_velocity(1).transition
-    options: dict[str, object] = dict(name="m", labels=("x", "vx"), axes=1, transition=flow)
+    options: dict[str, object] = {"name": "m", "labels": ("x", "vx"), "axes": 1, "transition": flow}
     return Motion(**{**options, **changes})  # type: ignore[arg-type]
 
 
 def _sensor(**changes: object) -> Sensor:
-    options: dict[str, object] = dict(
-        name="s", labels=("x",), units=("m",), axes=1, observe=position(1).observe, sigma=(1.0,)
-    )
+    options: dict[str, object] = {
+        "name": "s", "labels": ("x",), "units": ("m",), "axes": 1, "observe": position(1).observe, "sigma": (1.0,)
+    }
     return Sensor(**{**options, **changes})  # type: ignore[arg-type]
 
 
@@ -90,7 +90,7 @@ WRONG: dict[str, tuple[Callable[[], object], str]] = {
     "negative probability": (lambda: MarkovChain.per_step([[1.1, -0.1], [0.0, 1.0]]), "mode_transition"),
     "not square": (lambda: MarkovChain.per_step([[0.5, 0.5]]), "mode_transition"),
     "probability NaN": (lambda: MarkovChain.per_step([[np.nan, 1.0], [0.0, 1.0]]), "mode_transition"),
-    "nothing given": (lambda: MarkovChain(), "generator"),
+    "nothing given": (MarkovChain, "generator"),
     "both given": (lambda: MarkovChain(((0.0,),), ((1.0,),)), "generator"),
     "generator rows": (lambda: MarkovChain(((-1.0, 0.5), (1.0, -1.0))), "generator"),
     "generator negative": (lambda: MarkovChain(((1.0, -1.0), (1.0, -1.0))), "generator"),

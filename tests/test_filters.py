@@ -18,7 +18,7 @@ from jink.estimators.sensors import position, range_bearing, ranges
 from jink.estimators.status import MISSING, OK, REPAIRED
 
 DT, ROWS = 0.4, 25
-PEER = dict(rtol=1e-10, atol=1e-10)
+PEER = {"rtol": 1e-10, "atol": 1e-10}
 TUNINGS = [(1.0, 2.0, 0.0), (0.6, 1.5, 1.0)]
 
 
@@ -129,7 +129,7 @@ def test_unscented_filter_equals_stone_soup(tuning):
 
     f, h, Q, R, mean, cov, z, states, _ = curved_case(7, tuning)
     alpha, beta, kappa = tuning
-    rule = dict(alpha=alpha, beta=beta, kappa=kappa)
+    rule = {"alpha": alpha, "beta": beta, "kappa": kappa}
     predictor = UnscentedKalmanPredictor(transition_model(f, Q), **rule)
     updater = UnscentedKalmanUpdater(measurement_model(h, R, N), **rule)
     t0 = datetime.datetime(2020, 1, 1)
@@ -240,7 +240,7 @@ def test_a_partial_measurement_is_a_sensor_with_fewer_rows():
 def test_a_lost_anchor_is_a_sensor_without_it(lost):
     anchors = np.array([[0.0, 0.0], [30.0, 5.0], [-3.0, 20.0]])
     rng = np.random.default_rng(7)
-    truth = noisy_walk(rng) + [8.0, 9.0]
+    truth = noisy_walk(rng) + np.array([8.0, 9.0])
     z = np.linalg.norm(truth[:, None] - anchors, axis=2) + 0.1 * rng.normal(size=(40, 3))
     R, keep = spd(rng, 3), [k for k in range(3) if k != lost]
     part = z.copy()
@@ -300,13 +300,13 @@ def test_bearings_wrap_where_the_circle_closes():
     z += rng.normal(size=z.shape) * [0.5, 0.02]
     est = one(constant_velocity(2, acceleration_density=0.01), range_bearing((0.5, 0.02)))
     out = est.run(z, np.arange(40.0))
-    shifted = est.run(z + [0.0, 4 * np.pi], np.arange(40.0))
+    shifted = est.run(z + np.array([0.0, 4 * np.pi]), np.arange(40.0))
     np.testing.assert_allclose(shifted.position, out.position, atol=1e-9)
     assert (
         np.abs(out.position[0, 10:] - path[10:]).max() < 2.0
     )  # an unwrapped bearing throws it tens of metres
     # Half a turn of the scene only flips signs, so even an unscented filter follows to rounding.
-    opposite = est.run(z + [0.0, np.pi], np.arange(40.0))
+    opposite = est.run(z + np.array([0.0, np.pi]), np.arange(40.0))
     np.testing.assert_allclose(opposite.position, -out.position, atol=1e-8)
 
 

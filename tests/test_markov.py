@@ -72,7 +72,7 @@ def test_a_matrix_every_dt_comes_back_at_dt_and_at_twice_dt():
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: MarkovChain(), "exactly one"),
+        (MarkovChain, "exactly one"),
         (lambda: MarkovChain(generator=((0.0,),), matrix=((1.0,),)), "exactly one"),
         (lambda: MarkovChain(generator=((-1.0, 0.5), (0.0, 0.0))), "sum to 0"),
         (lambda: MarkovChain(generator=((1.0, -1.0), (0.0, 0.0))), ">= 0"),

@@ -18,7 +18,7 @@ from jink.estimators.sensors import position, range_bearing
 
 DT, ROWS = 0.4, 25
 TIMES = DT * np.arange(ROWS)
-PEER = dict(rtol=1e-10, atol=1e-10)
+PEER = {"rtol": 1e-10, "atol": 1e-10}
 TUNINGS = [(1.0, 2.0, 0.0), (0.6, 1.5, 1.0)]
 
 
@@ -193,7 +193,7 @@ def test_a_bank_is_close_to_the_sum_over_every_sequence_of_modes():
     z = np.cumsum([[0, 0], [1, 0], [2, 1], [3.5, 2.0], [3.6, 2], [3.5, 2.0]], axis=0)
     mean, probs = exact_by_enumeration(est, chain, z, np.arange(6.0))
     smooth, run = (method(z, np.arange(6.0), prior=PRIOR) for method in (est.smooth, est.run))
-    # Late rows inherit the filter's own approximation (0.07 at the last row); early ones have the future to help.
+    # Late rows inherit the filter's own approximation (0.07 at the last row); early ones have a future.
     np.testing.assert_allclose(smooth.mode_probs[0, :2], probs[:2], atol=2e-3)
     assert np.abs(run.mode_probs[0, :2] - probs[:2]).max() > 0.1
     worst, filtered_worst = (np.abs(out.position[0] - mean).mean() for out in (smooth, run))
@@ -330,8 +330,25 @@ def test_headings_smooth_the_same_on_both_sides_of_the_seam(interaction):
     np.testing.assert_allclose(there.mode_probs, here.mode_probs, rtol=1e-6, atol=1e-8)
 
 
+def test_a_turn_that_was_born_forgets_what_its_mode_held_before():
+    z = turning_tracks(np.random.default_rng(13), tracks=1)[1][0, :12]
+    turn = coordinated_turn(acceleration_density=0.0, rate_density=0.0, rate=0.1, rate_sd=0.2)
+    modes = (Mode("cv", constant_velocity(2, acceleration_density=0.1)), Mode("ct", turn))
+    chain = MarkovChain.from_sojourns([5.0] * 2)
+    est = BankEstimator(Bank(modes, position(2, 1.0), chain=chain, interaction="birth", min_prob=0.0))
+    hot = np.zeros((12, 2, 2))
+    hot[:6, :, 0] = hot[6:, :, 1] = 1.0
+    start, out = np.r_[z[0, 0], 1.0, z[0, 1], 1.0], []
+    for rate in (-2.0, 2.0):  # of the turn while it has no probability
+        prior = Prior([start, np.r_[start, rate]], [9 * np.eye(4), 9 * np.eye(5)], mode_probs=[1.0, 0.0])
+        out.append(est.smooth(z, np.arange(12.0), prior=prior, mode_transition=hot))
+    np.testing.assert_allclose(out[0].position, out[1].position, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(out[0].covariance, out[1].covariance, rtol=1e-8, atol=1e-9)
+    np.testing.assert_array_equal(out[0].mode_probs[0, :, 1], np.arange(12) >= 6)
+
+
 def test_many_tracks_with_a_prior_each_are_smoothed_in_parts(monkeypatch):
-    import jink.estimators.api as api
+    from jink.estimators import api
 
     rng = np.random.default_rng(10)
     z = np.cumsum(rng.normal(size=(7, 12, 2)), axis=1)
