@@ -330,13 +330,18 @@ def _stream(
     rows = max(first, 1)
     noise = list(problem.noise[b]) if problem.noise is not None else [None] * length
     sensors = list(problem.sensors[b]) if problem.sensors is not None else [None] * length
-    state = estimator.start(
-        problem.z[b, :rows],
-        problem.times[b, :rows],
-        None if problem.noise is None else problem.noise[b, :rows],
-        None if problem.sensors is None else problem.sensors[b, :rows],
-        prior=problem.prior,
-    )
+    try:
+        state = estimator.start(
+            problem.z[b, :rows],
+            problem.times[b, :rows],
+            None if problem.noise is None else problem.noise[b, :rows],
+            None if problem.sensors is None else problem.sensors[b, :rows],
+            prior=problem.prior,
+        )
+    except ValueError as error:
+        if "must locate" in str(error):  # `run` then begins broad and without these rows; `start` refuses
+            return 0, []
+        raise
     found = []
     for t in range(rows, length):
         state, one = estimator.step(state, problem.z[b, t], problem.times[b, t], noise[t], sensors[t])

@@ -188,6 +188,7 @@ class BankEstimator:
                 rows,
                 None,
             )
+            _fill_outside(part, outputs, history, self.bank.start_probs)
             parts.append(self._estimates(part, outputs))
         return Estimates(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
@@ -464,6 +465,7 @@ class BankEstimator:
                 check_moments(mean, cov)
                 state.mean[:, j, :n] = mean
                 state.cov[:, j, :n, :n] = cov
+            forecast_states(self._handle.handle, self._work(), state, 0.0, 0, False, state.kin_mean, state.kin_cov)
         else:
             mean = np.asarray(prior.mean, dtype=np.float64)
             cov = np.asarray(prior.cov, dtype=np.float64)

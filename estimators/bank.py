@@ -88,7 +88,9 @@ class Bank:
                     f"{mode.motion.axes}. Make the motion with axes={self.sensor.axes}."
                 )
         if self.chain is None and len(self.modes) > 1:
-            raise ValueError("Bank: chain must be given for several modes; got None. Use MarkovChain.from_sojourns([...]).")
+            raise ValueError(
+                "Bank: chain must be given for several modes; got None. Use MarkovChain.from_sojourns([...])."
+            )
         if self.chain is not None and self.chain.modes != len(self.modes):
             raise ValueError(
                 f"Bank: chain must have one row per mode, {len(self.modes)}; got {self.chain.modes}. "
@@ -105,7 +107,8 @@ class Bank:
                     f"Bank: initial_probs must be {len(self.modes)} probabilities that sum to 1; got "
                     f"{self.initial_probs}. Divide by the sum."
                 )
-        for name, low in (("speed", 0.0), ("alpha", 0.0), ("beta", -np.inf), ("kappa", -np.inf), ("reset_nis", 0.0)):
+        lowest = {"speed": 0.0, "alpha": 0.0, "beta": -np.inf, "kappa": -np.inf, "reset_nis": 0.0}
+        for name, low in lowest.items():
             value = getattr(self, name)
             if value is not None and not (value > low and np.isfinite(value)):
                 raise ValueError(f"Bank: {name} must be > {low:g} and finite; got {value}. Leave it out if in doubt.")

@@ -437,10 +437,7 @@ def advance(program_handle, work_handle, state, inputs, outputs, history, begin,
         for j in range(work.cached_dt.size):
             work.cached_dt[j] = np.nan
         for t in range(inputs.first[b], inputs.lengths[b]):
-            if state.phase[b] == LOCATED:
-                fuse(
-                    program, work, state.mean[b], state.cov[b], state.mode_probs[b], state.kin_mean[b], state.kin_cov[b]
-                )
+            if state.phase[b] == LOCATED:  # the start's own position and velocity are the estimate
                 outputs.status[b, t] = STARTING
                 state.phase[b] = RUNNING
             else:
@@ -455,4 +452,5 @@ def begin_tracks(program_handle, work_handle, kin_mean, kin_cov, state):
     for b in range(state.mean.shape[0]):
         for j in range(state.mean.shape[1]):
             birth(program, work, j, kin_mean[b], kin_cov[b], state.mean[b, j], state.cov[b, j])
-        fuse(program, work, state.mean[b], state.cov[b], state.mode_probs[b], state.kin_mean[b], state.kin_cov[b])
+        copy_vector(kin_mean[b], state.kin_mean[b])
+        copy_matrix(kin_cov[b], state.kin_cov[b], state.kin_cov.shape[1])

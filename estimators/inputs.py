@@ -150,7 +150,9 @@ def _numbers(given: ArrayLike | None, name: str, caller: str) -> Floats:
     try:
         return np.ascontiguousarray(given, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{caller}: {name} must be numbers in rows of one length; got {error}. Use NaN for gaps.") from None
+        raise ValueError(
+            f"{caller}: {name} must be numbers in rows of one length; got {error}. Use NaN for gaps."
+        ) from None
 
 
 def _shared(

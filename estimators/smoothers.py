@@ -83,27 +83,36 @@ _SWEEPS = 12
 
 
 @inner_kernel
+def _received(program, work, i, j, x, own, out):
+    """A state of mode j, with own parameters drawn for mode i, in the components of mode i."""
+    if not program.gathered[i, j]:
+        for k in range(program.drawn[i, j]):
+            work.own[k] = own[k]
+        convert_point(program, work, i, j, x, work.own, out)
+        return
+    for c in range(program.sizes[i]):
+        if program.source[i, j, c] >= 0:
+            out[c] = x[program.source[i, j, c]]
+    for k in range(program.drawn[i, j]):
+        if program.source[i, j, program.own_index[i, k]] < 0:
+            out[program.own_index[i, k]] = own[k]
+
+
+@inner_kernel
 def _pair_prediction(program, work, i, j, m, P, m_own, P_own, dt, near, ahead_mean, ahead_cov, cross):
     """Prediction of mode i from mode j, and its cross covariance (n_i, n_j) with the state of j."""
     n, size = program.sizes[j], program.sizes[i]
-    process_noise(program, work, i, m_own, dt, ahead_cov)
+    moved, points, converted = work.moved, work.points, work.scaled[0]
     own_prior(program, i, m_own, P_own, program.rule == BIRTH, work.own_mean, work.own_cov)
+    _received(program, work, i, j, m, work.own_mean, converted)
+    process_noise(program, work, i, converted, dt, ahead_cov)
     count, good = joint_points(program, work, i, j, m, P, work.own_mean, work.own_cov)
     joint = n + program.drawn[i, j]
     _, centre, other = point_weights(joint, program.tuning[0], program.tuning[1], program.tuning[2])
-    moved, points, converted = work.moved, work.points, work.scaled[0]
     for s in range(count):
         for k in range(program.drawn[i, j]):
             work.own[k] = points[s, n + k]
-        if program.gathered[i, j]:
-            for c in range(size):
-                if program.source[i, j, c] >= 0:
-                    converted[c] = points[s, program.source[i, j, c]]
-            for k in range(program.drawn[i, j]):
-                if program.source[i, j, program.own_index[i, k]] < 0:
-                    converted[program.own_index[i, k]] = work.own[k]
-        else:
-            convert_point(program, work, i, j, points[s], work.own, converted)
+        _received(program, work, i, j, points[s], work.own, converted)
         call_transition(
             program.transition[i], converted[:size], dt, program.params[i, : program.param_counts[i]], moved[s, :size]
         )

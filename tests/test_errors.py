@@ -36,7 +36,9 @@ def _cv(name: str = "cv", axes: int = 2) -> Mode:
 
 def _bank(**changes: object) -> Bank:
     options: dict[str, object] = {
-        "modes": (_cv("a"), _cv("b")), "sensor": position(2), "chain": MarkovChain.from_sojourns([5.0, 5.0])
+        "modes": (_cv("a"), _cv("b")),
+        "sensor": position(2),
+        "chain": MarkovChain.from_sojourns([5.0, 5.0]),
     }
     return Bank(**{**options, **changes})  # type: ignore[arg-type]
 
@@ -49,7 +51,12 @@ def _motion(**changes: object) -> Motion:
 
 def _sensor(**changes: object) -> Sensor:
     options: dict[str, object] = {
-        "name": "s", "labels": ("x",), "units": ("m",), "axes": 1, "observe": position(1).observe, "sigma": (1.0,)
+        "name": "s",
+        "labels": ("x",),
+        "units": ("m",),
+        "axes": 1,
+        "observe": position(1).observe,
+        "sigma": (1.0,),
     }
     return Sensor(**{**options, **changes})  # type: ignore[arg-type]
 

@@ -16,7 +16,8 @@ from rich.console import Console
 
 from jink.training.catalogue import SUITES
 from jink.training.console import check_writable, progress, say_when_compiling
-from jink.training.recorded_suite import ESTIMATORS, list_files, score_report
+from jink.training.recorded_scores import score_report
+from jink.training.recorded_suite import ESTIMATORS, list_files, list_flags
 from jink.training.rows import Cell, append_rows, commit, finished_cells, make_rows, now, read_rows
 from jink.training.tables import print_published, print_recorded
 from jink.training.track import choose, estimate, read
@@ -144,13 +145,13 @@ def _recorded(request: BenchRequest) -> Iterator[Job]:
         tracks, choice = prepared[file.name]
         name = "kf-cv" if cell.estimator == "raw" else cell.estimator
         report = estimate(replace(file.request, estimator=name), tracks, choice)
-        values = score_report(None if cell.estimator == "raw" else report, report.raw_scores)
+        values = score_report(report, cell.seed, raw=cell.estimator == "raw")
         if not values:
             reason = "rows do not locate the target" if tracks.truth is not None else "no truth to compare with"
             return make_rows(cell, {}, status="skipped", reason=reason, started=started)
         lost = report.scores["diverged_steps"] / max(report.scores["steps"], 1.0)
         bad = lost > 0.5 and cell.estimator != "raw"
-        parameters = {p.name: p.value for p in choice.parameters} | {"gate": file.request.gate}
+        parameters = {p.name: p.value for p in choice.parameters} | {"flags": list_flags(file.request)}
         return make_rows(
             cell,
             values,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
@@ -13,16 +12,19 @@ from jink.envs.published_truth import PublishedValue, ScenarioData
 from jink.estimators.api import Estimates
 from jink.estimators.bounds import mismatched_errors, steady_kf
 from jink.estimators.recipes import RECIPES
+from jink.training.intervals import Measured, Score, measure, resample_runs
 from jink.training.published_estimators import FILTERS, MIXING_RULES, run_filter
+from jink.training.weighted import mean, root_mean, root_mean_peak
 
 __all__ = ["PUBLISHED_CELLS", "Outcome", "PublishedCell", "published_values", "run_cell"]
 
-Values = dict[str, tuple[float, str]]
+Values = dict[str, Measured]
+Scores = dict[str, Score]
 _DIVERGED = 3
 
 
 class Outcome(NamedTuple):
-    """What one cell gives: metric to (value, unit), track-steps, how many of them diverged."""
+    """What one cell gives: metric to number with interval over runs, track-steps, how many of them diverged."""
 
     values: Values
     steps: int
@@ -35,7 +37,7 @@ class PublishedCell(NamedTuple):
     scenario: str
     estimator: str
     runs: int
-    score: Callable[[ScenarioData, Estimates], Values]
+    score: Callable[[ScenarioData, Estimates], Scores]
 
 
 def run_cell(cell: PublishedCell, runs: int, seed: int) -> Outcome:
@@ -44,7 +46,7 @@ def run_cell(cell: PublishedCell, runs: int, seed: int) -> Outcome:
     Args:
         cell: from `PUBLISHED_CELLS`.
         runs: Monte-Carlo runs.
-        seed: of truth and noise; the same for every estimator.
+        seed: of truth, noise and resamples; the same for every estimator.
 
     Returns:
         the outcome.
@@ -54,7 +56,8 @@ def run_cell(cell: PublishedCell, runs: int, seed: int) -> Outcome:
     data = SCENARIOS[cell.scenario].simulate(runs, seed)
     estimates = run_filter(FILTERS[cell.scenario](data)[cell.estimator], data)
     status = np.asarray(estimates.status)
-    return Outcome(cell.score(data, estimates), int(status.size), int((status == _DIVERGED).sum()))
+    values = measure(cell.score(data, estimates), resample_runs(runs, seed))
+    return Outcome(values, int(status.size), int((status == _DIVERGED).sum()))
 
 
 def published_values(cell: PublishedCell) -> Mapping[str, PublishedValue]:
@@ -76,36 +79,35 @@ def _errors(data: ScenarioData, run: Estimates) -> tuple[np.ndarray, np.ndarray,
     return data.times[first:], place, ((run.velocity - data.velocity[:, first:]) ** 2).sum(-1)
 
 
-def _score_turns(data: ScenarioData, run: Estimates) -> Values:
+def _score_turns(data: ScenarioData, run: Estimates) -> Scores:
     times, place, velocity = _errors(data, run)
     late, leg1 = times >= 30.0, (times >= 75.0) & (times <= 125.0)
-    per_time = place.mean(0)
     return {
-        "position_rms": (math.sqrt(per_time[late].mean()), "m"),
-        "position_peak": (math.sqrt(per_time[late].max()), "m"),
-        "position_leg1": (math.sqrt(per_time[leg1].mean()), "m"),
-        "velocity_rms": (math.sqrt(velocity[:, late].mean()), "m/s"),
+        "position_rms": Score(root_mean(place[:, late].mean(1)), "m"),
+        "position_peak": Score(root_mean_peak(place[:, late]), "m"),
+        "position_leg1": Score(root_mean(place[:, leg1].mean(1)), "m"),
+        "velocity_rms": Score(root_mean(velocity[:, late].mean(1)), "m/s"),
     }
 
 
-def _score_jump(data: ScenarioData, run: Estimates) -> Values:
+def _score_jump(data: ScenarioData, run: Estimates) -> Scores:
     _, place, velocity = _errors(data, run)
-    return {"rmse": (float(np.sqrt((place + velocity).mean(1)).mean()), "SI")}
+    return {"rmse": Score(mean(np.sqrt((place + velocity).mean(1))), "SI")}
 
 
-def _score_cv_ca(data: ScenarioData, run: Estimates) -> Values:
-    return {"position_mse": (float(_errors(data, run)[1].mean()) / data.position.shape[-1], "m^2")}
+def _score_cv_ca(data: ScenarioData, run: Estimates) -> Scores:
+    return {"position_mse": Score(mean(_errors(data, run)[1].mean(1) / data.position.shape[-1]), "m^2")}
 
 
-def _score_after(settling: float) -> Callable[[ScenarioData, Estimates], Values]:
+def _score_after(settling: float) -> Callable[[ScenarioData, Estimates], Scores]:
     """Root mean square and peak over samples, the first `settling` seconds left out."""
 
-    def score(data: ScenarioData, run: Estimates) -> Values:
+    def score(data: ScenarioData, run: Estimates) -> Scores:
         times, place, _ = _errors(data, run)
-        per_time = place.mean(0)[times >= data.times[0] + settling]
+        late = times >= data.times[0] + settling
         return {
-            "position_rms": (math.sqrt(per_time.mean()), "m"),
-            "position_peak": (math.sqrt(per_time.max()), "m"),
+            "position_rms": Score(root_mean(place[:, late].mean(1)), "m"),
+            "position_peak": Score(root_mean_peak(place[:, late]), "m"),
         }
 
     return score
@@ -120,12 +122,14 @@ def _uncertain() -> Values:
     for delta in (-0.3, 0.0, 0.3):
         true = UNCERTAIN.transition_at(delta)
         errors = mismatched_errors(true, gain @ gain.T, observation, noise, steady.gain, nominal)
-        values[f"kf/{delta:+g}"] = (float(errors[0][0, 0]), "variance")
+        values[f"kf/{delta:+g}"] = Measured(
+            float(errors[0][0, 0]), "variance", interval="closed form: nothing is drawn"
+        )
     return values
 
 
 _ONLY_METRIC = {"n1-jump-linear-v0": "rmse", "n4-cv-ca-v0": "position_mse"}
-_SUITE: tuple[tuple[str, tuple[str, ...], int, Callable[[ScenarioData, Estimates], Values]], ...] = (
+_SUITE: tuple[tuple[str, tuple[str, ...], int, Callable[[ScenarioData, Estimates], Scores]], ...] = (
     ("b2-atc-turns-v0", ("kf-1", "kf-0.1", "imm-cv-cv", "imm-cv-ct"), 200, _score_turns),
     ("n1-jump-linear-v0", ("oracle", "imm"), 50, _score_jump),
     ("n4-cv-ca-v0", ("kf-cv", "kf-ca", "imm"), 200, _score_cv_ca),

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import fnmatch
-from dataclasses import dataclass
+import shlex
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
+from jink.training.track import TrackRequest
 
-from jink.training.track import TrackReport, TrackRequest
-
-__all__ = ["ESTIMATORS", "RecordedFile", "list_files", "score_report"]
+__all__ = ["ESTIMATORS", "UNGATED", "RecordedFile", "list_files", "list_flags"]
 
 ESTIMATORS = ("raw", "kf-cv", "imm", "intent-imm")
 """Columns of the table; `raw` is the measurement itself."""
+UNGATED = " without --gate"
+"""Ends the name of a second reading of a file whose flags hold --gate: what the gate is worth."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,9 @@ def list_files(folder: Path) -> list[RecordedFile]:
             found.append(RecordedFile(name, None, reading.skip))
             continue
         found.append(_request(path, name, dict(reading.options)))
+        request = found[-1].request
+        if request is not None and request.gate:
+            found.append(RecordedFile(name + UNGATED, replace(request, gate=False), ""))
     for reading in READINGS:
         if reading.pattern not in seen and not reading.skip:
             found.append(RecordedFile(reading.pattern, None, "no such file in the folder"))
@@ -100,41 +104,14 @@ def _request(path: Path, name: str, options: dict[str, Any]) -> RecordedFile:
     return RecordedFile(name, TrackRequest(file=path, **options), "")
 
 
-def score_report(report: TrackReport | None, raw: dict[str, float]) -> dict[str, tuple[float, str]]:
-    """Metrics of one cell, with units.
-
-    Args:
-        report: of an estimator; None for the raw measurement.
-        raw: errors of the measurements; empty without truth.
-
-    Returns:
-        position errors where there is truth, prediction measures everywhere but for raw; empty if neither.
-    """
-    scores = raw if report is None else report.scores
-    values = {
-        name: (scores[key], unit)
-        for name, key, unit in (
-            ("position_rmse", "position_rmse_m", "m"),
-            ("position_median", "position_median_m", "m"),
-            ("position_peak", "position_peak_m", "m"),
-            ("position_nees", "position_nees", ""),
-        )
-        if key in scores
-    }
-    if report is not None:
-        values |= {
-            "log_likelihood_trimmed": (_trimmed_log_likelihood(report), "nat"),
-            "log_likelihood_per_step": (scores["log_likelihood_per_step"], "nat"),
-            "nis_per_component": (scores["nis_per_dof"], ""),
-            "nis_inside": (scores["nis_inside"], ""),
-            "diverged_share": (scores["diverged_steps"] / max(scores["steps"], 1.0), ""),
-            "microseconds_per_step": (1e6 * report.seconds / max(scores["steps"], 1.0), "us"),
-        }
-    return values
-
-
-def _trimmed_log_likelihood(report: TrackReport) -> float:
-    """Mean log-likelihood of the one-step predictions without the worst 1 %, where gross errors live; nat."""
-    measured = report.tracks.used & (np.asarray(report.estimates.nis_dof) > 0)
-    values = np.sort(np.asarray(report.estimates.log_likelihood)[measured])
-    return float(values[len(values) // 100 :].mean()) if values.size else float("nan")
+def list_flags(request: TrackRequest) -> str:
+    """The flags of `jink track` that read a file as a request does; files by their name only."""
+    words = []
+    for field in fields(request):
+        value = getattr(request, field.name)
+        if field.name in ("file", "estimator") or value == field.default:
+            continue
+        flag = f"--{field.name.replace('_', '-')}"
+        for one in value if isinstance(value, tuple) else (value,):
+            words += [flag] if one is True else [flag, one.name if isinstance(one, Path) else f"{one}"]
+    return shlex.join(words)

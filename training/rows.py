@@ -16,11 +16,14 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
+from jink.training.intervals import Measured
+
 __all__ = ["Cell", "append_rows", "finished_cells", "make_rows", "provenance", "read_rows"]
 
 COLUMNS = {
     "suite": "string", "scenario": "string", "estimator": "string", "metric": "string", "value": "float64",
-    "unit": "string", "published": "float64", "published_low": "float64", "published_high": "float64",
+    "low": "float64", "high": "float64", "interval": "string", "unit": "string",
+    "published": "float64", "published_low": "float64", "published_high": "float64",
     "status": "string", "reason": "string", "runs": "int64", "seed": "int64", "parameters": "string",
     "steps": "int64", "seconds": "float64", "started": "string", "command": "string", "commit": "string",
     "versions": "string", "machine": "string",
@@ -92,7 +95,7 @@ def append_rows(path: Path, new: pd.DataFrame) -> None:
 
 def make_rows(
     cell: Cell,
-    values: Mapping[str, tuple[float, str]],
+    values: Mapping[str, Measured],
     *,
     status: str = "ok",
     reason: str = "",
@@ -106,7 +109,7 @@ def make_rows(
 
     Args:
         cell: what was computed.
-        values: metric to value and unit; empty: one row that only carries the status.
+        values: metric to number with unit and interval; empty: one row that only carries the status.
         status: ok, diverged, skipped or error.
         reason: why, where it is not ok.
         published: metric to value, low and high end to compare with (NaN = none).
@@ -134,10 +137,10 @@ def make_rows(
         "started": started or now(),
     }
     records = []
-    for metric, (value, unit) in (values or {"": (float("nan"), "")}).items():
+    for metric, measured in (values or {"": Measured(float("nan"), "", interval="no number")}).items():
         known = (published or {}).get(metric, (float("nan"),) * 3)
         numbers = dict(zip(("published", "published_low", "published_high"), known, strict=True))
-        records.append(common | numbers | {"metric": metric, "value": float(value), "unit": unit})
+        records.append(common | numbers | {"metric": metric, **measured._asdict()})
     return pd.DataFrame(records)[list(COLUMNS)].astype(COLUMNS)
 
 

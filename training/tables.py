@@ -21,7 +21,7 @@ def print_published(console: Console, rows: pd.DataFrame) -> None:
     ok = rows[rows["metric"] != ""]
     known = ok[ok["published"].notna()]
     table = plain_table(
-        "scenario", "estimator", "metric", "ours", "published", "difference", "unit", "runs",
+        "scenario", "estimator", "metric", "ours", "published", "difference", "95 % of ours", "unit", "runs",
         title="published results", words=3,
     )  # fmt: skip
     last = ""
@@ -37,6 +37,7 @@ def print_published(console: Console, rows: pd.DataFrame) -> None:
             number(value),
             number(published) + spread,
             f"{100 * (value / published - 1):+.1f} %",
+            _interval(row),
             str(row.unit),
             str(row.runs),
         )
@@ -45,10 +46,12 @@ def print_published(console: Console, rows: pd.DataFrame) -> None:
         console.print(table)
     others = ok[ok["published"].isna() & (ok["metric"] == "position_rms")]
     if len(others):
-        pivot = others.pivot_table(index="scenario", columns="estimator", values="value", sort=False)
-        table = plain_table("scenario", *map(str, pivot.columns), title="position error without published numbers, m")
+        shown = others.assign(shown=[number(_number(row.value)) + _spread(row) for row in others.itertuples()])
+        pivot = shown.pivot_table(index="scenario", columns="estimator", values="shown", aggfunc="last", sort=False)
+        title = "position error without published numbers, m (± half of the 95 % interval)"
+        table = plain_table("scenario", *map(str, pivot.columns), title=title)
         for scenario, values in pivot.iterrows():
-            table.add_row(str(scenario), *(number(float(value)) for value in values))
+            table.add_row(str(scenario), *map(str, values))
         console.print(table)
     _print_reasons(console, rows)
 
@@ -59,7 +62,7 @@ def print_recorded(console: Console, rows: pd.DataFrame) -> None:
     _print_grid(
         console,
         rows[rows["scenario"].isin(with_truth)],
-        "position error against truth, m: root mean square (median)",
+        "position error against truth, m: root mean square ± half of its 95 % interval (median)",
         ESTIMATORS,
         ("position_rmse", "position_median"),
     )
@@ -86,12 +89,15 @@ def _print_grid(
     if values.empty:
         return
     table = plain_table("file", *estimators, title=title)
-    cells = {(row.scenario, row.estimator, row.metric): _number(row.value) for row in values.itertuples()}
+    cells = {(row.scenario, row.estimator, row.metric): row for row in values.itertuples()}
     for scenario in dict.fromkeys(values["scenario"]):
         shown = []
         for estimator in estimators:
             first, second = (cells.get((scenario, estimator, metric)) for metric in metrics)
-            shown.append("-" if first is None else f"{number(first)} ({number(second, 3)})")
+            if first is None or second is None:
+                shown.append("-")
+            else:
+                shown.append(f"{number(_number(first.value))}{_spread(first)} ({number(_number(second.value), 3)})")
         table.add_row(escape(_short(scenario)), *shown)
     console.print(table)
 
@@ -108,6 +114,18 @@ def _short(scenario: Any) -> str:
     """A file without its folder; a pattern as it is."""
     name = str(scenario)
     return name if "*" in name else PurePosixPath(name).name
+
+
+def _interval(row: Any) -> str:
+    """The interval of a row of the file; a dash where it has none."""
+    low, high = _number(row.low), _number(row.high)
+    return "-" if math.isnan(low) else f"[{number(low)}, {number(high)}]"
+
+
+def _spread(row: Any) -> str:
+    """Half of the interval, short; nothing where there is none."""
+    half = (_number(row.high) - _number(row.low)) / 2
+    return "" if math.isnan(half) else f" ±{number(half, 2)}"
 
 
 def _number(value: Any) -> float:
