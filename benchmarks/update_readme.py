@@ -30,7 +30,7 @@ def latest(rows):
 
 
 def number(value, digits=4):
-    return f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
+    return f"{value:#.{digits}g}" if abs(value) < 10 ** (digits - 1) else f"{value:.0f}"
 
 
 def with_interval(row, digits=4):
@@ -47,7 +47,7 @@ def results_block(rows):
     lines = ["| scenario, root mean square error | estimator | published | Jink [95 %] |", "|---|---|---|---|"]
     for scenario, estimator, *key in SHOWN:
         row = found.loc[tuple(key)]
-        lines.append(f"| {scenario} | {estimator} | {number(row['published'])} | {with_interval(row)} |")
+        lines.append(f"| {scenario} | {estimator} | {row['published']:.4g} | {with_interval(row)} |")
     jet, none = (found.loc[(MIXING[0], rule, MIXING[1])] for rule in ("jet", "none"))
     lines.append(
         f"| Unlike motions, m | `jet` interaction (`none`) | {number(jet['published'], 3)} "
@@ -90,7 +90,7 @@ def recorded_tables(rows):
     return {
         "truth": grid([f for f in files if f in with_truth], ESTIMATORS, "position_rmse", "position_median"),
         "predictions": grid(
-            [f for f in files if f not in with_truth], ESTIMATORS[1:], "log_likelihood_per_step", "nis_inside"
+            [f for f in files if f not in with_truth], ESTIMATORS[1:], "log_likelihood_trimmed", "nis_inside"
         ),
         "commands": "```text\n" + "\n".join(commands) + "\n```\n",
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+import zlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
@@ -244,11 +245,12 @@ class BankEstimator:
         Raises:
             ValueError: a shape does not fit.
         """
+        self._check_state(state, "step")
         z = np.array(measurement, dtype=np.float64)
         size, kin = self.bank.sensor.size, 2 * self.bank.sensor.axes
         R = self._noise if noise is None else np.array(noise, dtype=np.float64)
         sensor = self._still if sensor_state is None else np.array(sensor_state, dtype=np.float64)
-        if z.shape != (size,) or R.shape[-2:] != (size, size) or sensor.shape[-1:] != (kin,):
+        if z.shape != (size,) or R.shape != (size, size) or sensor.shape != (kin,):
             raise ValueError(
                 f"step: measurement must have shape ({size},), noise ({size}, {size}), sensor_state ({kin},); got "
                 f"{z.shape}, {R.shape}, {sensor.shape}. One row at a time."
@@ -262,6 +264,7 @@ class BankEstimator:
             state.nis_average.copy(),
             state.time.copy(),
             state.phase.copy(),
+            state.layout,
         )
         outputs = make_outputs(1, 1, kin, len(self.bank.modes))
         inputs = Inputs(
@@ -303,12 +306,13 @@ class BankEstimator:
         Raises:
             ValueError: a negative or infinite horizon, an unknown weighting, fewer than one step.
         """
+        self._check_state(state, "forecast")
         if not (horizon >= 0 and np.isfinite(horizon)):
             raise ValueError(f"forecast: horizon must be >= 0 s and finite; got {horizon}. Give seconds ahead.")
         if weights not in ("W1", "W2"):
             raise ValueError(f"forecast: weights must be W1 (persist) or W2 (chain); got {weights!r}. Use W1.")
-        if steps < 1:
-            raise ValueError(f"forecast: steps must be >= 1; got {steps}. Use 1.")
+        if steps < 1 or steps != int(steps):
+            raise ValueError(f"forecast: steps must be an integer >= 1; got {steps}. Use 1.")
         tracks, kin = state.kin_mean.shape
         mean, cov = np.zeros((tracks, kin)), np.zeros((tracks, kin, kin))
         forecast_states(
@@ -425,7 +429,24 @@ class BankEstimator:
     def _blank(self, tracks: int) -> State:
         state = make_state(tracks, len(self.modes), self._program.angular.shape[1], 2 * self.bank.sensor.axes)
         state.mode_probs[:] = self.bank.start_probs
+        state.layout[:] = self._layout
         return state
+
+    @cached_property
+    def _layout(self) -> int:
+        """Number that tells this bank's states from those of another."""
+        modes = [(mode.name, mode.motion.labels) for mode in self.bank.modes]
+        return zlib.crc32(repr((self.bank.sensor.axes, modes)).encode())
+
+    def _check_state(self, state: State, caller: str) -> None:
+        """A state of another bank would be read with the wrong sizes."""
+        if not isinstance(state, State) or state.layout.shape != (1,) or state.layout[0] != self._layout:
+            found = "that of another bank" if isinstance(state, State) else type(state).__name__
+            raise ValueError(
+                f"{caller}: state must come from start or step of an estimator with modes {', '.join(self.modes)} in "
+                f"{self.bank.sensor.axes} axes; got {found}. "
+                "Call start again."
+            )
 
     def _locate(self, inputs: Inputs) -> StartBatch:
         tracks, rows = inputs.measurements.shape[:2]
@@ -448,7 +469,8 @@ class BankEstimator:
     def _take_prior(self, prior: Prior, state: State, inputs: Inputs) -> None:
         kin = state.kin_mean.shape[1]
         tracks = len(state.time)
-        if isinstance(prior.mean, list) and len(prior.mean) == len(self.modes) and np.ndim(prior.mean[0]) == 1:
+        per_mode = isinstance(prior.mean, list) and len(prior.mean) == len(self.modes) and np.ndim(prior.mean[0]) == 1
+        if isinstance(prior.mean, list) and per_mode:
             if not isinstance(prior.cov, list) or len(prior.cov) != len(self.modes):
                 raise ValueError(
                     f"Prior: cov must be a list with one matrix per mode, as mean is; got {type(prior.cov).__name__}. "
@@ -465,7 +487,6 @@ class BankEstimator:
                 check_moments(mean, cov)
                 state.mean[:, j, :n] = mean
                 state.cov[:, j, :n, :n] = cov
-            forecast_states(self._handle.handle, self._work(), state, 0.0, 0, False, state.kin_mean, state.kin_cov)
         else:
             mean = np.asarray(prior.mean, dtype=np.float64)
             cov = np.asarray(prior.cov, dtype=np.float64)
@@ -490,6 +511,8 @@ class BankEstimator:
                     "Divide by the sum."
                 )
             state.mode_probs[:] = probs
+        if per_mode:
+            forecast_states(self._handle.handle, self._work(), state, 0.0, 0, False, state.kin_mean, state.kin_cov)
         begin = inputs.times[:, :1].min(axis=1, initial=np.inf)
         if prior.time is not None and not (np.isfinite(prior.time) and np.all(prior.time <= begin)):
             raise ValueError(

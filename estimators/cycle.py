@@ -40,6 +40,7 @@ PRIOR, RUNNING, LOCATED = range(3)
 ABSURD = 1e30
 """No measurement, place or mean is this large: such numbers are broken, and their squares must stay finite."""
 _LOST_NIS = 25.0
+_WORST_NIS = 250.0
 _MEMORY = 0.2
 _FLOOR = 1e-14
 _ROUNDED = 1e-9
@@ -62,6 +63,7 @@ class State(NamedTuple):
     nis_average: Floats  # (B, M + 1) running mean of NIS per component: each mode, then the bank
     time: Floats  # (B,)
     phase: NDArray[np.int64]  # (B,)
+    layout: NDArray[np.int64]  # (1,) which bank's components these are
 
 
 class Inputs(NamedTuple):
@@ -119,6 +121,7 @@ def make_state(tracks: int, modes: int, states: int, kin: int) -> State:
         nis_average=np.ones((tracks, modes + 1)),
         time=np.zeros(tracks),
         phase=np.full(tracks, RUNNING, dtype=np.int64),
+        layout=np.zeros(1, dtype=np.int64),
     )
 
 
@@ -205,9 +208,12 @@ def _sound(m, P, n, P_before):
 @inner_kernel
 def _widen(kin_cov):
     """Ten times the standard deviations, within what numbers bear."""
+    size = 0.0
     for a in range(kin_cov.shape[0]):
-        for b in range(kin_cov.shape[0]):
-            if kin_cov[a, a] < ABSURD and kin_cov[b, b] < ABSURD:
+        size = max(size, kin_cov[a, a])
+    if size < ABSURD:  # all or nothing: a covariance scaled in parts is none
+        for a in range(kin_cov.shape[0]):
+            for b in range(kin_cov.shape[0]):
                 kin_cov[a, b] *= 100.0
 
 
@@ -308,7 +314,7 @@ def _restart_poor_modes(program, work, mean, cov, probs, nis_average):
             own_prior(program, p, mean[p], cov[p], True, work.own_mean, work.own_cov)
             good = (
                 convert(
-                    program, work, p, best, mean[best], cov[best], work.own_mean, work.own_cov, mean[best],
+                    program, work, p, best, mean[best], cov[best], work.own_mean, work.own_cov, mean[p],
                     work.part_mean[p], work.part_cov[p],
                 )
                 and good
@@ -360,8 +366,9 @@ def step(program, work, state, inputs, outputs, b, t):
         good = predict_mode(program, work, j, work.mixed_mean[j], work.mixed_cov[j], dt, m, P) and good
         sound = _sound(m, P, n, work.mixed_cov[j])
         if sound == 0:
+            if not lost:
+                _widen(state.kin_cov[b])
             lost = True
-            _widen(state.kin_cov[b])
             birth(program, work, j, state.kin_mean[b], state.kin_cov[b], m, P)
         work.log_density[j] = 0.0
         if d > 0:
@@ -370,12 +377,13 @@ def step(program, work, state, inputs, outputs, b, t):
             sound = _sound(mean[j], cov[j], n, P)
             good = good and fine and sound == 2
             if sound == 0:
+                if not lost:
+                    _widen(state.kin_cov[b])
                 lost = True
-                _widen(state.kin_cov[b])
                 birth(program, work, j, state.kin_mean[b], state.kin_cov[b], mean[j], cov[j])
                 work.log_density[j] = -np.inf
             elif np.isfinite(nis):
-                state.nis_average[b, j] += _MEMORY * (nis / d - state.nis_average[b, j])
+                state.nis_average[b, j] += _MEMORY * (min(nis / d, _WORST_NIS) - state.nis_average[b, j])
         else:
             good = good and sound == 2
             for i in range(n):
@@ -389,7 +397,7 @@ def step(program, work, state, inputs, outputs, b, t):
             log_likelihood = -ABSURD
             good = False
         if fine:
-            state.nis_average[b, modes] += _MEMORY * (min(nis, ABSURD) / d - state.nis_average[b, modes])
+            state.nis_average[b, modes] += _MEMORY * (min(nis / d, _WORST_NIS) - state.nis_average[b, modes])
         else:
             nis = 0.0
             good = False

@@ -78,6 +78,7 @@ def gaussian_update(m, P, R, cross, S, v, d, n, factor, gain, whitened, m_out, P
             total += gain[i, j] * whitened[i, 0]
         m_out[j] += total
     outer_add(P_out, gain, gain, 0, d, -1.0, n)
+    mirror(P_out, n)  # rounding in the large P is asymmetry in a small P+
     lost = False
     for i in range(n):
         lost = lost or P_out[i, i] < _CANCELLED * P[i, i]

@@ -121,7 +121,10 @@ class MarkovChain:
 
     def __post_init__(self) -> None:
         if (self.generator is None) == (self.matrix is None):
-            raise ValueError("MarkovChain: exactly one of generator and matrix must be given. Drop the other.")
+            raise ValueError(
+                "MarkovChain: exactly one of generator and matrix must be given; got "
+                f"{'neither' if self.matrix is None else 'both'}. Use from_sojourns, per_step or from_matrix."
+            )
         if self.matrix is not None:
             check_transition_matrix(self.matrix, len(self.matrix), caller="MarkovChain")
             return

@@ -142,6 +142,8 @@ def intent_imm(sensor: Sensor, scales: Scales) -> Bank:
 
 
 def _turn(axes: int, scales: Scales, wobble: float):  # type: ignore[no-untyped-def]
+    if axes == 1:
+        raise ValueError("make_estimator: sensor must have 2 or 3 axes for a turn; got 1. Use kf-cv, kf-ca or singer.")
     make = coordinated_turn if axes == 2 else spatial_turn
     return make(
         acceleration_density=wobble**2,

@@ -27,7 +27,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from jink.estimators.compiled import call_transition, entry_kernel, inner_kernel
-from jink.estimators.cycle import fuse
+from jink.estimators.cycle import ABSURD, fuse
 from jink.estimators.interaction import convert_point, joint_points, own_prior
 from jink.estimators.linalg import cholesky, copy_matrix, copy_vector, solve_lower, solve_upper, wrap_angle
 from jink.estimators.markov import transition_matrix
@@ -35,6 +35,7 @@ from jink.estimators.modes import process_noise
 from jink.estimators.pieces import MATRIX, PROGRAM, STACK, VECTOR, WORK, piece
 from jink.estimators.program import BIRTH, program_at, work_at
 from jink.estimators.reference import record_type, reference_reader
+from jink.estimators.status import OK, REPAIRED
 from jink.estimators.unscented import point_weights, points_mean
 
 __all__ = ["Smoother", "make_smoother", "smooth_tracks"]
@@ -76,6 +77,7 @@ def make_smoother(modes: int, states: int) -> Smoother:
 
 SMOOTHER = record_type("smoother", lambda: make_smoother(0, 0))
 STACKS = types.Array(types.float64, 4, "C")
+CODES = types.Array(types.int8, 1, "C")
 smoother_at = reference_reader(SMOOTHER)
 
 _UNINFORMED = 1.0 - 1e-12
@@ -224,7 +226,7 @@ def _pair_update(program, i, p, directions, values, noises, count, n, m, P, gain
 
 @inner_kernel
 def _carry_back(m, P, n, ahead_mean, ahead_cov, s, S, size, cross, factor, gain, product, m_out, P_out):
-    """``m + G (s - m-)``, ``P + G (S - P-) G'`` with ``G = cross' (P-)^-1``."""
+    """``m + G (s - m-)``, ``P + G (S - P-) G'`` with ``G = cross' (P-)^-1``; whether that is a covariance."""
     cholesky(ahead_cov, size, factor)
     copy_matrix(cross, gain, size)
     solve_lower(factor, size, gain, n)
@@ -246,6 +248,13 @@ def _carry_back(m, P, n, ahead_mean, ahead_cov, s, S, size, cross, factor, gain,
             for k in range(size):
                 value += gain[k, a] * product[k, c]
             P_out[a, c] = P_out[c, a] = value
+    sound = cholesky(P_out, n, factor)
+    for a in range(n):
+        sound = sound and abs(m_out[a]) < ABSURD and 0.0 <= P_out[a, a] < ABSURD * ABSURD
+    if not sound:  # digits lost: what the filter knew stays true
+        copy_vector(m, m_out)
+        copy_matrix(P, P_out, n)
+    return sound
 
 
 @inner_kernel
@@ -264,9 +273,22 @@ def _mixture(weights, means, covs, modes, n, mean, cov):
 
 
 @piece(
-    types.void, PROGRAM, WORK, SMOOTHER, STACK, STACKS, MATRIX, VECTOR, STACK, types.int64, types.int64, MATRIX, STACK
+    types.void,
+    PROGRAM,
+    WORK,
+    SMOOTHER,
+    STACK,
+    STACKS,
+    MATRIX,
+    VECTOR,
+    STACK,
+    types.int64,
+    types.int64,
+    MATRIX,
+    STACK,
+    CODES,
 )
-def _smooth_track(program, work, scratch, mean, cov, probs, times, chains, first, last, kin_mean, kin_cov):
+def _smooth_track(program, work, scratch, mean, cov, probs, times, chains, first, last, kin_mean, kin_cov, status):
     """Overwrite filtered ``mean``, ``cov``, ``probs`` of rows ``first`` to ``last`` by smoothed ones."""
     modes = program.sizes.size
     pair_mean, pair_cov, weights, priors = scratch.pair_mean, scratch.pair_cov, scratch.weights, scratch.priors
@@ -283,6 +305,7 @@ def _smooth_track(program, work, scratch, mean, cov, probs, times, chains, first
             copy_matrix(program.chain, work.chain, modes)
         else:
             transition_matrix(program.chain, dt, modes, work.chain_scratch, work.chain)
+        good = True
         for i in range(modes):
             size = program.sizes[i]
             mass = 0.0
@@ -311,14 +334,19 @@ def _smooth_track(program, work, scratch, mean, cov, probs, times, chains, first
                     log_density = _pair_update(program, i, p, V, values, noises, count, size, s, S, line)
                     weights[i, j] = np.log(priors[j]) + log_density
                     top = max(top, weights[i, j])
-                    _carry_back(
+                    sound = _carry_back(
                         mean[t, j], cov[t, j], program.sizes[j], ahead_mean[j], ahead_cov[j], s, S, size, cross[j],
                         factor, gain, product, pair_mean[j, i], pair_cov[j, i],
                     )  # fmt: skip
+                    good = good and sound
             mass = 0.0
             for j in range(modes):
                 weights[i, j] = np.exp(weights[i, j] - top) if priors[j] > 0.0 else 0.0
                 mass += weights[i, j]
+            if not 0.0 < mass < np.inf:  # no pair explains the future: keep what the filter thought of them
+                good = False
+                mass = 1.0
+                copy_vector(priors, weights[i])
             for j in range(modes):
                 weights[i, j] *= probs[t + 1, i] / mass
         whole = 0.0
@@ -340,7 +368,9 @@ def _smooth_track(program, work, scratch, mean, cov, probs, times, chains, first
             probs[t, j] /= whole
             copy_vector(back_mean[j], mean[t, j])
             copy_matrix(back_cov[j], cov[t, j], program.sizes[j])
-        fuse(program, work, mean[t], cov[t], probs[t], kin_mean[t], kin_cov[t])
+        good = fuse(program, work, mean[t], cov[t], probs[t], kin_mean[t], kin_cov[t]) and good
+        if not good and status[t] == OK:
+            status[t] = REPAIRED
 
 
 @entry_kernel
@@ -353,4 +383,5 @@ def smooth_tracks(program_handle, work_handle, scratch_handle, history, outputs,
         _smooth_track(
             program, work, scratch, history.mean[b], history.cov[b], outputs.mode_probs[b], inputs.times[row],
             chains, inputs.first[b], inputs.lengths[b] - 1, outputs.kin_mean[b], outputs.kin_cov[b],
+            outputs.status[b],
         )  # fmt: skip

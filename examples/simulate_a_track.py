@@ -1,7 +1,7 @@
 """Simulate the track of the README's picture and write it as a track file.
 
-    python examples/simulate_a_track.py track.csv
-    jink track track.csv --estimator intent-imm --sigma 25 --plot track.png
+python examples/simulate_a_track.py track.csv
+jink track track.csv --estimator intent-imm --sigma 25 --plot track.png
 """
 
 import sys

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from jink.training import published, weighted
-from jink.training.intervals import BLOCK_S, Score, measure, resample_blocks, resample_runs
+from jink.training.intervals import Score, measure, resample_blocks, resample_runs
 from jink.training.recorded_scores import score_report
 from jink.training.recorded_suite import UNGATED, list_files, list_flags
 from jink.training.rows import COLUMNS, Cell, make_rows, read_rows
@@ -111,7 +111,7 @@ def test_every_row_is_drawn_equally_often():
     assert weights[:, 395:400].mean() == pytest.approx(1.0, abs=0.15)
     np.testing.assert_array_equal(weights[:, 400], weights[:, 419])
     jumps = (np.diff(weights[:, :400], axis=1) != 0).sum(axis=1)
-    assert jumps.max() <= 2 * (2 * 400 / (BLOCK_S / 2))
+    assert jumps.max() <= 2 * (2 * 400 / (60 / 2))
 
 
 def test_same_seed_same_interval():
@@ -127,7 +127,7 @@ def test_no_interval_has_a_reason():
     scores = {"mean": Score(weighted.mean(values), "m"), "peak": Score(weighted.largest(values), "m", "one record")}
     for draws, words in (
         (resample_runs(4, 0), "fewer than 5 runs"),
-        (resample_blocks(60.0 * np.arange(4.0)[None], np.array([4]), 0), "fewer than 5 blocks of 60 s"),
+        (resample_blocks(60.0 * np.arange(4.0)[None], np.array([4]), 0), "fewer than 8 blocks of 18 s"),
     ):
         found = measure(scores, draws)
         assert math.isnan(found["mean"].low) and found["mean"].interval == words
@@ -166,9 +166,9 @@ def test_rows_carry_the_interval(tmp_path):
 
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory):
-    """Ten minutes of a straight line with sigma 5 m, estimated."""
-    times = np.arange(0.0, 600.0)
-    z = np.stack([2.0 * times, -times], axis=1) + np.random.default_rng(1).normal(scale=5.0, size=(600, 2))
+    """Fifteen minutes of a straight line with sigma 5 m, estimated."""
+    times = np.arange(0.0, 900.0)
+    z = np.stack([2.0 * times, -times], axis=1) + np.random.default_rng(1).normal(scale=5.0, size=(900, 2))
     frame = {"t": times, "x": z[:, 0], "y": z[:, 1], "true_x": 2.0 * times, "true_y": -times}
     path = tmp_path_factory.mktemp("walk") / "walk.csv"
     pd.DataFrame(frame).to_csv(path, index=False)
@@ -181,7 +181,7 @@ def test_recorded_scores_are_those_of_the_summary(walk, raw):
     for name, key in (("rmse", "rmse_m"), ("median", "median_m"), ("peak", "peak_m")):
         assert found[f"position_{name}"].value == pytest.approx(known[f"position_{key}"], rel=1e-12)
     rmse = found["position_rmse"]
-    assert rmse.low < rmse.value < rmse.high and "10 blocks of 60 s" in rmse.interval
+    assert rmse.low < rmse.value < rmse.high and "15 blocks of 60 s" in rmse.interval
     assert math.isnan(found["position_peak"].low) and "largest" in found["position_peak"].interval
     assert ("nis_inside" in found) is not raw
     if not raw:

@@ -15,7 +15,9 @@ Floats = NDArray[np.float64]
 Statistic = Callable[[Floats], Floats]
 """Weights (R, n), how often each resample holds each run or row, to one number per resample (R,)."""
 
-RESAMPLES, BLOCK_S, FEWEST = 1000, 60.0, 5
+RESAMPLES, FEWEST_RUNS, FEWEST_BLOCKS = 1000, 5, 8
+BLOCK_S = (10.0, 60.0)
+"""Shortest and longest block; s."""
 _STREAM, _ELEMENTS = 61, 4_000_000  # a stream of its own, apart from those of the scenarios; 32 MB of weights
 
 
@@ -94,7 +96,7 @@ def resample_runs(runs: int, seed: int) -> Resampling:
         for count in _batches(runs):
             yield rng.multinomial(runs, np.full(runs, 1 / runs), size=count).astype(np.float64)
 
-    reason = f"fewer than {FEWEST} runs" if runs < FEWEST else ""
+    reason = f"fewer than {FEWEST_RUNS} runs" if runs < FEWEST_RUNS else ""
     words = f"95 % percentile bootstrap, {RESAMPLES} resamples of {runs} runs"
     return Resampling(runs, batches(), words, reason)
 
@@ -102,8 +104,9 @@ def resample_runs(runs: int, seed: int) -> Resampling:
 def resample_blocks(times: Floats, lengths: NDArray[np.int64], seed: int) -> Resampling:
     """Blocks of rows drawn with replacement, because the errors of neighbouring rows are alike.
 
-    A block holds as many rows as fit `BLOCK_S` at the median interval of its track, and continues at the track's
-    first row after its last. A shorter track is one block. Every row is drawn equally often on average.
+    A block lasts 60 s; a tenth of all track time where that is less, but not under 10 s. It holds as many rows as
+    fit at the mean pace of its track, and continues at the track's first row after its last. A shorter track
+    is one block. Every row is drawn equally often on average.
 
     Args:
         times: (B, T) s.
@@ -112,7 +115,9 @@ def resample_blocks(times: Floats, lengths: NDArray[np.int64], seed: int) -> Res
 
     Source: Politis, Romano (1992), circular block bootstrap. Differs: several tracks.
     """
-    blocks = np.array([_block_rows(times[b, :rows]) for b, rows in enumerate(lengths)], dtype=np.int64)
+    spans = [float(times[b, rows - 1] - times[b, 0]) for b, rows in enumerate(lengths) if rows]
+    block = float(np.clip(sum(spans) / 10, *BLOCK_S))
+    blocks = np.array([_block_rows(times[b, :rows], block) for b, rows in enumerate(lengths)], dtype=np.int64)
     per_row, rows = np.repeat(blocks, lengths), int(lengths.sum())
     first = np.repeat(np.cumsum(lengths) - lengths, lengths)  # of the track of each row
     last = first + np.repeat(lengths, lengths)
@@ -131,19 +136,16 @@ def resample_blocks(times: Floats, lengths: NDArray[np.int64], seed: int) -> Res
             np.add.at(steps, (line, np.where(over > 0, first[starts] + over, rows)), -(over > 0).astype(np.float64))
             yield np.cumsum(steps[:, :-1], axis=1)
 
-    reason = f"fewer than {FEWEST} blocks of {BLOCK_S:g} s" if count < FEWEST else ""
-    words = f"95 % percentile bootstrap, {RESAMPLES} resamples of {round(count)} blocks of {BLOCK_S:g} s"
+    reason = f"fewer than {FEWEST_BLOCKS} blocks of {block:.3g} s" if count < FEWEST_BLOCKS else ""
+    words = f"95 % percentile bootstrap, {RESAMPLES} resamples of {round(count)} blocks of {block:.3g} s"
     return Resampling(rows, batches(), words, reason)
 
 
-def _block_rows(times: Floats) -> int:
-    gaps = np.diff(times)
-    gaps = gaps[gaps > 0]
-    if not gaps.size:
-        return max(len(times), 1)
-    # Rows, not seconds over the median gap: several rows may share one time.
-    rows = BLOCK_S * len(times) / max(len(gaps) * float(np.median(gaps)), 1e-9)
-    return int(np.clip(round(rows), 1, len(times)))
+def _block_rows(times: Floats, seconds: float) -> int:
+    """Rows of a block of one track."""
+    span = float(times[-1] - times[0]) if len(times) else 0.0
+    # At the mean pace: several rows may share one time or come in bursts, so a median gap says little.
+    return int(np.clip(round(seconds * len(times) / span), 1, len(times))) if span > 0 else max(len(times), 1)
 
 
 def _stream(seed: int) -> np.random.Generator:

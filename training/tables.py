@@ -17,11 +17,11 @@ __all__ = ["print_published", "print_recorded"]
 
 
 def print_published(console: Console, rows: pd.DataFrame) -> None:
-    """Ours beside the published numbers, then scenarios without any, estimators side by side."""
+    """Ours beside the published numbers, with half of our 95 % interval; then scenarios without any."""
     ok = rows[rows["metric"] != ""]
     known = ok[ok["published"].notna()]
     table = plain_table(
-        "scenario", "estimator", "metric", "ours", "published", "difference", "95 % of ours", "unit", "runs",
+        "scenario", "estimator", "metric", "ours", "published", "off by", "±95 %", "unit", "runs",
         title="published results", words=3,
     )  # fmt: skip
     last = ""
@@ -37,7 +37,7 @@ def print_published(console: Console, rows: pd.DataFrame) -> None:
             number(value),
             number(published) + spread,
             f"{100 * (value / published - 1):+.1f} %",
-            _interval(row),
+            _spread(row).strip() or "-",
             str(row.unit),
             str(row.runs),
         )
@@ -46,11 +46,11 @@ def print_published(console: Console, rows: pd.DataFrame) -> None:
         console.print(table)
     others = ok[ok["published"].isna() & (ok["metric"] == "position_rms")]
     if len(others):
-        shown = others.assign(shown=[number(_number(row.value)) + _spread(row) for row in others.itertuples()])
+        shown = others.assign(shown=[number(_number(row.value), 3) + _spread(row, 1) for row in others.itertuples()])
         pivot = shown.pivot_table(index="scenario", columns="estimator", values="shown", aggfunc="last", sort=False)
         title = "position error without published numbers, m (± half of the 95 % interval)"
         table = plain_table("scenario", *map(str, pivot.columns), title=title)
-        for scenario, values in pivot.iterrows():
+        for scenario, values in pivot.fillna("-").iterrows():
             table.add_row(str(scenario), *map(str, values))
         console.print(table)
     _print_reasons(console, rows)
@@ -116,16 +116,10 @@ def _short(scenario: Any) -> str:
     return name if "*" in name else PurePosixPath(name).name
 
 
-def _interval(row: Any) -> str:
-    """The interval of a row of the file; a dash where it has none."""
-    low, high = _number(row.low), _number(row.high)
-    return "-" if math.isnan(low) else f"[{number(low)}, {number(high)}]"
-
-
-def _spread(row: Any) -> str:
+def _spread(row: Any, digits: int = 2) -> str:
     """Half of the interval, short; nothing where there is none."""
     half = (_number(row.high) - _number(row.low)) / 2
-    return "" if math.isnan(half) else f" ±{number(half, 2)}"
+    return "" if math.isnan(half) else f" ±{number(half, digits)}"
 
 
 def _number(value: Any) -> float:
