@@ -23,20 +23,14 @@ def numbers(table: Table, column: str, array: pa.ChunkedArray) -> NDArray[np.flo
     """
     if pa.types.is_string(array.type) or pa.types.is_large_string(array.type):
         values = _text_to_numbers(table, column, array)
-    elif (
-        pa.types.is_integer(array.type) or pa.types.is_floating(array.type) or pa.types.is_decimal(array.type)
-    ):
+    elif pa.types.is_integer(array.type) or pa.types.is_floating(array.type) or pa.types.is_decimal(array.type):
         values = _to_numpy(pc.cast(array, pa.float64(), safe=False))
     else:
-        table.refuse(
-            f"hold numbers in column '{column}'", str(array.type), "Map another column with --columns."
-        )
+        table.refuse(f"hold numbers in column '{column}'", str(array.type), "Map another column with --columns.")
     infinite = np.flatnonzero(np.isinf(values))
     if infinite.size:
         row = int(infinite[0])
-        table.refuse_cell(
-            row, column, "be a finite number or empty", values[row], "Correct or empty the cell."
-        )
+        table.refuse_cell(row, column, "be a finite number or empty", values[row], "Correct or empty the cell.")
     return values
 
 
@@ -55,9 +49,7 @@ def _text_to_numbers(table: Table, column: str, array: pa.ChunkedArray) -> NDArr
     try:
         return _to_numpy(pc.cast(trimmed, pa.float64()))
     except pa.ArrowInvalid:
-        parsed = pd.to_numeric(pd.Series(trimmed.to_pylist(), dtype=object), errors="coerce").to_numpy(
-            np.float64
-        )
+        parsed = pd.to_numeric(pd.Series(trimmed.to_pylist(), dtype=object), errors="coerce").to_numpy(np.float64)
     bad = np.flatnonzero(np.isnan(parsed) & ~np.asarray(missing.to_numpy(), dtype=bool))
     if bad.size:
         row = int(bad[0])
@@ -84,15 +76,11 @@ def seconds(table: Table, column: str, array: pa.ChunkedArray) -> NDArray[np.flo
         values = _epoch_seconds(pd.to_datetime(array.to_pandas(), utc=True))
     else:
         text = pa.types.is_string(array.type) or pa.types.is_large_string(array.type)
-        first = (
-            next((cell for item in array if (cell := item.as_py()) and cell.strip()), "0") if text else "0"
-        )
+        first = next((cell for item in array if (cell := item.as_py()) and cell.strip()), "0") if text else "0"
         if is_number(first) or not re.match(r"\s*\d{4}-?\d{2}-?\d{2}", first):
             values = numbers(table, column, array)
         else:
-            values = _epoch_seconds(
-                pd.to_datetime(array.to_pandas(), format="ISO8601", utc=True, errors="coerce")
-            )
+            values = _epoch_seconds(pd.to_datetime(array.to_pandas(), format="ISO8601", utc=True, errors="coerce"))
     bad = np.flatnonzero(np.isnan(values))
     if bad.size:
         row = int(bad[0])

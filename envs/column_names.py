@@ -68,14 +68,11 @@ def parse_columns(text: str) -> dict[str, str]:
         name, equals, column = (piece.strip() for piece in part.partition("="))
         if not equals:
             raise ValueError(
-                f"parse_columns: columns must be pairs like t=time,x=east; got '{part.strip()}'. Write "
-                f"NAME=COLUMN."
+                f"parse_columns: columns must be pairs like t=time,x=east; got '{part.strip()}'. Write NAME=COLUMN."
             )
         check_name(name, "parse_columns")
         if name in pairs:
-            raise ValueError(
-                f"parse_columns: columns must give each name once; got '{name}' twice. Remove one."
-            )
+            raise ValueError(f"parse_columns: columns must give each name once; got '{name}' twice. Remove one.")
         pairs[name] = column
     return pairs
 

@@ -87,9 +87,7 @@ class _Chooser:
             check_name(name, "read_tracks")
             if column and column not in table.names:
                 near = difflib.get_close_matches(column, table.names, n=1)
-                self.refuse(
-                    f"have the column '{column}' mapped to {name}", f"Did you mean {near[0]}?" if near else ""
-                )
+                self.refuse(f"have the column '{column}' mapped to {name}", f"Did you mean {near[0]}?" if near else "")
 
     def refuse(self, rule: str, remedy: str = "") -> NoReturn:
         self.table.refuse(
@@ -152,9 +150,7 @@ class _Chooser:
         if "range_rate" in measured and plane:
             self.refuse("have range and bearing, or no range_rate: x, y and range_rate do not go together")
         if "elevation" in measured and axes == 2:
-            self.refuse(
-                "be read with three axes when it has an elevation", "Use axes 3 or do not map elevation."
-            )
+            self.refuse("be read with three axes when it has an elevation", "Use axes 3 or do not map elevation.")
         kind = "position" if plane else _kind(components)
         if kind not in SENSORS:
             self.refuse(
@@ -192,9 +188,7 @@ class _Chooser:
         else:
             plane, globe = self.pair(PLANE_PAIRS), self.pair(GEOGRAPHIC_PAIRS)
             options = {"range": self.first(RANGE_NAMES), "bearing": self.first(BEARING_NAMES)}
-            polar = {
-                name: column for name, column in options.items() if column and self.mapping.get(name, column)
-            }
+            polar = {name: column for name, column in options.items() if column and self.mapping.get(name, column)}
             if (plane or globe) and polar:
                 self.refuse(
                     "have one kind of measurement, position or range and bearing",

@@ -18,9 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["STATUS_NAMES", "write_estimates"]
 
 
-def write_estimates(
-    path: str | Path, tracks: Tracks, estimates: EstimatesLike, modes: Sequence[str] = ()
-) -> None:
+def write_estimates(path: str | Path, tracks: Tracks, estimates: EstimatesLike, modes: Sequence[str] = ()) -> None:
     """Write estimates, padding left out; a reader finds either the whole file or none.
 
     Columns: track, t, x, y[, z], vx, vy[, vz], sd_x, ..., sd_vx, ..., nis, status, then `mode_<name>`, the
@@ -37,13 +35,9 @@ def write_estimates(
     """
     path = Path(path)
     if path.suffix.lower() not in {".csv", ".parquet"}:
-        raise ValueError(
-            f"write_estimates: path must end in .csv or .parquet; got {path.name}. Choose one of them."
-        )
+        raise ValueError(f"write_estimates: path must end in .csv or .parquet; got {path.name}. Choose one of them.")
     if not path.parent.is_dir():
-        raise ValueError(
-            f"write_estimates: path must lie in an existing folder; got {path}. Make {path.parent} first."
-        )
+        raise ValueError(f"write_estimates: path must lie in an existing folder; got {path}. Make {path.parent} first.")
     position, mode_probs = np.asarray(estimates.position), np.asarray(estimates.mode_probs)
     B, T = tracks.times.shape
     if position.shape != (B, T, tracks.axes):
@@ -54,8 +48,7 @@ def write_estimates(
         )
     if modes and len(modes) != mode_probs.shape[-1]:
         raise ValueError(
-            f"write_estimates: modes must have {mode_probs.shape[-1]} names; got {len(modes)}. Use the "
-            f"estimator's."
+            f"write_estimates: modes must have {mode_probs.shape[-1]} names; got {len(modes)}. Use the estimator's."
         )
     used = tracks.used
     labels = "xyz"[: tracks.axes]

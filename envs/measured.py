@@ -83,9 +83,7 @@ def measured_rows(
         values[:, choice.components.index(name)] -= constant
     places = _places(table, choice, data, keep, values)
     if "range" in choice.components and choice.axes == 2 and "sensor_z" in choice.columns:
-        _flatten_ranges(
-            table, choice, numbers(table, *_pick(choice, data, "sensor_z")), values, sigmas, height
-        )
+        _flatten_ranges(table, choice, numbers(table, *_pick(choice, data, "sensor_z")), values, sigmas, height)
     elif height is not None:
         raise ValueError(
             f"read_tracks: height must be left out unless ranges from sensors with heights are read in two "
@@ -145,9 +143,7 @@ def _sigmas(
     if not given:
         return None
     if len(given) < len(names):
-        table.refuse(
-            f"have all of {', '.join(names)} or none", f"only {', '.join(given)}", "Add or unmap them."
-        )
+        table.refuse(f"have all of {', '.join(names)} or none", f"only {', '.join(given)}", "Add or unmap them.")
     sigmas = np.stack([_column(table, choice, data, name) for name in names], axis=1)
     bad = np.argwhere(keep[:, None] & ~(sigmas > 0) & ~(np.isnan(values) & np.isnan(sigmas)))
     if bad.size:
@@ -163,9 +159,7 @@ def _sigmas(
     return sigmas
 
 
-def _turn_bearings(
-    table: Table, choice: Choice, keep: NDArray[np.bool_], bearing: Floats, *, compass: bool
-) -> None:
+def _turn_bearings(table: Table, choice: Choice, keep: NDArray[np.bool_], bearing: Floats, *, compass: bool) -> None:
     """Wrap bearings to (-pi, pi], counter-clockwise from +x, in place."""
     bad = np.flatnonzero(keep & (np.abs(bearing) > 2 * np.pi + 1e-3))
     if bad.size:

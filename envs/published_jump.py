@@ -135,9 +135,7 @@ class JumpScenario:
         mean, cov = np.asarray(self.prior_mean), np.asarray(self.prior_cov)
         n, q = gain.shape[-2:]
         modes = self.draw_modes(seed, runs)
-        unit = [
-            make_stream("truth", seed, run).standard_normal(n + (self.steps - 1) * q) for run in range(runs)
-        ]
+        unit = [make_stream("truth", seed, run).standard_normal(n + (self.steps - 1) * q) for run in range(runs)]
         start, shocks = np.split(np.stack(unit), [n], axis=1)
         shocks = shocks.reshape(runs, self.steps - 1, q)
         state = np.empty((runs, self.steps, n))

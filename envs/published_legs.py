@@ -124,13 +124,10 @@ class LegScenario:
                 )
         if (self.mode_transition is None) != (self.mode_probs0 is None):
             raise ValueError(
-                f"{self.id}: mode_transition and mode_probs0 must be given together; got only one "
-                "of them. Give both."
+                f"{self.id}: mode_transition and mode_probs0 must be given together; got only one of them. Give both."
             )
         if self.mode_transition is not None and self.mode_probs0 is not None:
-            check_markov(
-                self.id, np.array(self.mode_transition), np.array(self.mode_probs0), len(self.mode_names)
-            )
+            check_markov(self.id, np.array(self.mode_transition), np.array(self.mode_probs0), len(self.mode_names))
 
     def fly(self) -> tuple[Array, Array, NDArray[np.int64]]:
         """The path without noise.

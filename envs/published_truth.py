@@ -108,9 +108,7 @@ def check_number(caller: str, name: str, value: float, low: float = 0.0) -> None
         ValueError: value is NaN, infinite or <= low.
     """
     if not (np.isfinite(value) and value > low):
-        raise ValueError(
-            f"{caller}: {name} must be finite and > {low:g}; got {value!r}. Give it in SI units."
-        )
+        raise ValueError(f"{caller}: {name} must be finite and > {low:g}; got {value!r}. Give it in SI units.")
 
 
 def freeze(value: ArrayLike) -> Array:

@@ -59,7 +59,6 @@ class UncertainSystem:
         """
         if not abs(delta) <= self.bound:
             raise ValueError(
-                f"{self.id}.transition_at: delta must be within +-{self.bound:g}; got {delta!r}. "
-                "Use a smaller one."
+                f"{self.id}.transition_at: delta must be within +-{self.bound:g}; got {delta!r}. Use a smaller one."
             )
         return np.asarray(self.transition) + delta * np.asarray(self.perturbation)

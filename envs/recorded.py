@@ -101,9 +101,7 @@ def read_tracks(
         table.refuse(f"have rows where {_pairs(where)}", "none", "Check the value, or leave the filter out.")
     labels, notes = _track_labels(table, choice, data), [f"columns: {_pairs(choice.columns)}"]
     times = seconds(table, choice.columns["t"], data[choice.columns["t"]]) if rate_hz is None else None
-    rows = measured_rows(
-        table, choice, data, keep, height=height, compass=compass, degrees=degrees, bias=bias
-    )
+    rows = measured_rows(table, choice, data, keep, height=height, compass=compass, degrees=degrees, bias=bias)
     kept = np.flatnonzero(keep)
     codes, ids = pd.factorize(labels[kept])
     if times is None:
@@ -115,17 +113,13 @@ def read_tracks(
     _check_clock(table, choice, times, code_of, order)
     if drop_repeats:
         fresh = _fresh(rows, code_of, order)
-        notes.append(
-            f"dropped {np.count_nonzero(~fresh)} of {len(order)} rows that repeat the previous measurement"
-        )
+        notes.append(f"dropped {np.count_nonzero(~fresh)} of {len(order)} rows that repeat the previous measurement")
         order = order[fresh]
     lengths = np.bincount(code_of[order], minlength=len(ids))
     B, T = len(ids), int(lengths.max())
     limit = max(10_000_000, PADDED_LIMIT * len(order))
     if limit < B * T:
-        table.refuse(
-            "hold tracks of comparable length", f"{B} tracks, the longest {T} rows", "Split the long ones."
-        )
+        table.refuse("hold tracks of comparable length", f"{B} tracks, the longest {T} rows", "Split the long ones.")
     starts = np.cumsum(lengths) - lengths
     grid = order[starts[:, None] + np.minimum(np.arange(T), lengths[:, None] - 1)]
     padding = np.arange(T) >= lengths[:, None]
@@ -201,9 +195,7 @@ def _track_labels(table: Table, choice: Choice, data: dict[str, Any]) -> NDArray
     labels = words(data[column])
     empty = np.flatnonzero(labels == "")
     if empty.size:
-        table.refuse_cell(
-            int(empty[0]), column, "name the track", "an empty cell", "Fill it, or map track= to none."
-        )
+        table.refuse_cell(int(empty[0]), column, "name the track", "an empty cell", "Fill it, or map track= to none.")
     return labels
 
 
@@ -244,12 +236,8 @@ def _own_truth(
         names = [choice.columns.get(f"{prefix}{axis}") for axis in AXES[: choice.axes]]
         if any(names) and not all(names):
             wanted = ", ".join(f"{prefix}{axis}" for axis in AXES[: choice.axes])
-            table.refuse(
-                f"have all of {wanted} or none", f"columns {table.columns_text}", "Add or unmap them."
-            )
-        found.append(
-            np.stack([numbers(table, n, data[n]) for n in names if n], axis=1) if all(names) else None
-        )
+            table.refuse(f"have all of {wanted} or none", f"columns {table.columns_text}", "Add or unmap them.")
+        found.append(np.stack([numbers(table, n, data[n]) for n in names if n], axis=1) if all(names) else None)
     return found[0], found[1]
 
 

@@ -72,9 +72,7 @@ def open_table(path: str | Path) -> Table:
     """
     path = Path(path)
     if path.is_dir():
-        raise IsADirectoryError(
-            f"{CALLER}: path must name a file; got the folder {path}. Name one file inside it."
-        )
+        raise IsADirectoryError(f"{CALLER}: path must name a file; got the folder {path}. Name one file inside it.")
     if not path.exists():
         raise FileNotFoundError(f"{CALLER}: path must name an existing file; got {path}. Check the spelling.")
     content = path.read_bytes()
@@ -120,9 +118,7 @@ def _open_text(path: Path, content: bytes) -> Table:
     separator = max(",;\t", key=header.count)
     names = tuple(name.strip() for name in next(csv.reader([header], delimiter=separator)))
     if all(is_number(name) for name in names):
-        table.refuse(
-            "have a header line", f"numbers in its first line ({header[:60]})", "Add the columns' names."
-        )
+        table.refuse("have a header line", f"numbers in its first line ({header[:60]})", "Add the columns' names.")
     if names.count("") > 1:
         names = tuple(name or f"column {index + 1}" for index, name in enumerate(names))
     return Table(path, names, content[offset:], separator, lines)
@@ -138,9 +134,7 @@ def load(table: Table, columns: list[str]) -> dict[str, pa.ChunkedArray]:
         try:
             data = pq.read_table(table.path, columns=columns)
         except (pa.ArrowException, OSError) as error:
-            table.refuse(
-                "be a whole Parquet file", f"damage ({str(error).splitlines()[0]})", "Write it again."
-            )
+            table.refuse("be a whole Parquet file", f"damage ({str(error).splitlines()[0]})", "Write it again.")
     else:
         if not table.body or table.body.isspace():
             table.refuse("have data rows", "a header only", "Check the export.")
@@ -183,9 +177,7 @@ def _parse_text(table: Table, columns: list[str], *, threads: bool) -> pa.Table:
                 "Correct or remove the row.",
             )
         why = str(error).splitlines()[0][:120].rstrip(".")
-        table.refuse(
-            "be CSV text (UTF-8) or Parquet", f"text that cannot be parsed ({why})", "Save it as UTF-8 CSV."
-        )
+        table.refuse("be CSV text (UTF-8) or Parquet", f"text that cannot be parsed ({why})", "Save it as UTF-8 CSV.")
 
 
 def _line_of_row(table: Table, row: int) -> int:

@@ -52,9 +52,7 @@ def interpolate_truth(
     table = open_table(path)
     choice = choose_columns(table, columns, axes, flag="--truth-columns", truth=True)
     if choice.kind != "position":
-        table.refuse(
-            "hold true positions", f"columns {table.columns_text}", "Map x and y with --truth-columns."
-        )
+        table.refuse("hold true positions", f"columns {table.columns_text}", "Map x and y with --truth-columns.")
     if choice.geographic != (origin is not None):
         frames = ("degrees", "metres") if choice.geographic else ("metres", "degrees")
         table.refuse(

@@ -442,8 +442,9 @@ def advance(program_handle, work_handle, state, inputs, outputs, history, begin,
         by_reference(history),
     )
     for b in range(begin, end):
-        for j in range(work.cached_dt.size):
-            work.cached_dt[j] = np.nan
+        work.cached_dt[work.cached_dt.size - 1] = (
+            np.nan
+        )  # the chain's scratch is shared with forced chains and forecasts
         for t in range(inputs.first[b], inputs.lengths[b]):
             if state.phase[b] == LOCATED:  # the start's own position and velocity are the estimate
                 outputs.status[b, t] = STARTING

@@ -29,6 +29,4 @@ if __name__ == "__main__":
     for seconds in (0.0, 1.0, 4.0, 60.0):
         braking.transition(state, seconds, np.array(braking.params), after)
         speed = np.hypot(after[1], after[3])
-        print(
-            f"after {seconds:4.0f} s: position ({after[0]:6.2f}, {after[2]:6.2f}) m, speed {speed:5.2f} m/s"
-        )
+        print(f"after {seconds:4.0f} s: position ({after[0]:6.2f}, {after[2]:6.2f}) m, speed {speed:5.2f} m/s")

@@ -87,9 +87,7 @@ def curved_problem(rng, dt):
 
 def curved_sensor(place=(0.4, -0.7, 0.0, 0.0)):
     """``(sensor, h)`` with ``h`` of a state; a nonlinear measurement of position and velocity."""
-    sensor = Sensor(
-        "curved", ("r", "q"), ("m", "m"), 2, Callback(_curved, OBSERVE), (0.7, 0.9), params=(0.2,)
-    )
+    sensor = Sensor("curved", ("r", "q"), ("m", "m"), 2, Callback(_curved, OBSERVE), (0.7, 0.9), params=(0.2,))
 
     def h(x, *_, **__):
         out = np.zeros(2)

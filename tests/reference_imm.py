@@ -122,6 +122,4 @@ def turn(dt, rate):
     if rate == 0:
         return np.kron(np.eye(2), [[1, dt], [0, 1]])
     s, c = np.sin(rate * dt), np.cos(rate * dt)
-    return np.array(
-        [[1, s / rate, 0, -(1 - c) / rate], [0, c, 0, -s], [0, (1 - c) / rate, 1, s / rate], [0, s, 0, c]]
-    )
+    return np.array([[1, s / rate, 0, -(1 - c) / rate], [0, c, 0, -s], [0, (1 - c) / rate, 1, s / rate], [0, s, 0, c]])

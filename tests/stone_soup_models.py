@@ -18,9 +18,7 @@ class _Transition(GaussianTransitionModel):
         return len(self.Q)
 
     def function(self, state, noise=False, **_):
-        return StateVectors(
-            [StateVector(self.f(column)) for column in np.asarray(state.state_vector, float).T]
-        )
+        return StateVectors([StateVector(self.f(column)) for column in np.asarray(state.state_vector, float).T])
 
     def covar(self, **_):
         return self.Q

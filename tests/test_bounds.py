@@ -95,9 +95,7 @@ def test_best_fit_matches_the_moments_of_simulated_jumps():
 
 def test_best_fit_with_one_mode_is_the_riccati_bound():
     Q = np.array([[0.25, 0.5], [0.5, 1.0]])
-    one = best_fitting_gaussian(
-        [N1_F], [[1.0, 2.0]], [Q], [[1.0]], [1.0], N1_H, N1_R, [5.0, 1.0], np.eye(2), 9
-    )
+    one = best_fitting_gaussian([N1_F], [[1.0, 2.0]], [Q], [[1.0]], [1.0], N1_H, N1_R, [5.0, 1.0], np.eye(2), 9)
     assert one.bound == pytest.approx(riccati_bound(N1_F, Q, N1_H, N1_R, np.eye(2), 9), rel=1e-12)
 
 
@@ -185,9 +183,7 @@ def test_monte_carlo_bound_averages_range_information():
 def test_monte_carlo_bound_uses_each_jacobian_at_its_own_time():
     # Scalar, F depends on x_k and H on k; D11 and D12 must use x_0, not x_1.
     states = np.array([[[2.0], [5.0]], [[4.0], [7.0]]])
-    got = monte_carlo_bound(
-        states, lambda x, k: x[None], [[0.5]], lambda x, k: np.array([[1.0 + k]]), [[1.0]], [[1.0]]
-    )
+    got = monte_carlo_bound(states, lambda x, k: x[None], [[0.5]], lambda x, k: np.array([[1.0 + k]]), [[1.0]], [[1.0]])
     J0 = 1.0 + 1.0
     d11, d12, d22 = (4.0 + 16.0) / 2 / 0.5, -3.0 / 0.5, 1 / 0.5 + 4.0
     assert 1.0 / got[:, 0, 0] == pytest.approx([J0, d22 - d12**2 / (J0 + d11)])

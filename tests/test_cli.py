@@ -1,8 +1,11 @@
 """The command line: what it prints, writes and refuses."""
 
 import json
+import os
 import re
+import subprocess
 import sys
+from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -12,11 +15,14 @@ import pytest
 from jink.envs.recorded import read_tracks
 from jink.estimators.recipes import RECIPES, make_estimator
 from jink.estimators.sensors import SENSORS, position, range_bearing
+from jink.estimators.tracks import Tracks
 from jink.training import bench as bench_module
-from jink.training import published, rows
+from jink.training import plotting, published, rows
 from jink.training.cli import main
+from jink.training.doubts import nis_verdict, outlier_hint
 from jink.training.options import parse_numbers, parse_sigma
 from jink.training.recorded_suite import list_files
+from jink.training.running import forecast_ends, gate_tracks
 
 
 @pytest.fixture
@@ -142,21 +148,163 @@ def test_help_has_examples(command, capsys):
         (("track", "{radar}", "--sigma", "1,2,3"), "must have 2 numbers"),
         (("track", "{radar}", "--speed", "0"), "--speed: value must be > 0"),
         (("track", "{radar}", "--where", "x"), "--where: value must be NAME=VALUE"),
-        (("track", "{radar}", "--columns", "t"), "columns must be pairs"),
+        (("track", "{radar}", "--columns", "t"), "jink: --columns: columns must be pairs"),
+        (("track", "{radar}", "--truth", "{radar}", "--truth-columns", "t"), "jink: --truth-columns: columns must be"),
+        (("track", "{radar}", "--truth-columns", "t=t"), "--truth-columns: value must come with --truth"),
+        (("track", "{radar}", "--columns", "t=clock"), r"jink: radar\.csv must have the column 'clock'"),
+        (("track", "{radar}", "--rate-hz", "-1"), "jink: --rate-hz: value must be > 0 and finite"),
+        (("track", "{radar}", "--axes", "4"), "--axes: value must be 2 or 3; got 4"),
+        (("track", "{radar}", "--height", "5"), "jink: --height: value must be left out unless ranges"),
+        (("track", "{radar}", "--out", "{radar}"), "--out: file must not be the input file"),
         (("track", "{radar}", "--out", "e.txt"), r"--out: file must end in \.parquet or \.csv"),
         (("track", "{radar}", "--out", "no/where/e.csv"), "must lie in an existing folder"),
         (("track", "{radar}", "--plot", "e.gif"), r"must end in \.png"),
-        (("track", "{radar}", "--show", "b"), "must name tracks; got 'b'"),
+        (("track", "{radar}", "--show", "b"), "--show: value must name a track; got 'b'"),
         (("bench", "--suite", "speed"), "--suite: name must be one of published, recorded"),
         (("bench", "--suite", "recorded"), "--data: folder must be given"),
         (("bench", "--suite", "recorded", "--data", "nowhere"), "folder must exist"),
         (("bench", "--suite", "published", "--runs", "0"), "--runs: value must be >= 1"),
+        (("bench", "--suite", "published", "--data", "."), "--data: option must be left out of the suite published"),
+        (("bench", "--suite", "recorded", "--data", ".", "--quick"), "--quick: option must be left out"),
+        (("bench", "--suite", "recorded", "--data", ".", "--runs", "5"), "--runs: option must be left out"),
+        (("bench", "--suite", "recorded", "--data", ".", "--seed", "1"), "--seed: option must be left out"),
         (("bench", "--suite", "published", "--out", "{radar}"), r"must end in \.parquet"),
     ],
 )
 def test_refusals_are_one_sentence(radar, capsys, arguments, words):
     filled = [argument.format(radar=radar) for argument in arguments]
     assert re.search(words, refused(capsys, *filled))
+
+
+def test_inputs_are_not_overwritten(radar, tmp_path, capsys, monkeypatch):
+    before = radar.read_bytes()
+    link, truth = tmp_path / "link.csv", tmp_path / "truth.csv"
+    link.symlink_to(radar)
+    truth.write_bytes(before)
+    assert "--out: file must not be the input file" in refused(capsys, "track", radar, "--out", link)
+    monkeypatch.chdir(tmp_path)
+    assert "must not be the file of --truth" in refused(
+        capsys, "track", radar, "--truth", truth, "--out", "./truth.csv"
+    )
+    # Names of inputs seldom end like pictures, but links do.
+    (tmp_path / "link.png").symlink_to(radar)
+    assert "--plot: file must not be the input file" in refused(capsys, "track", radar, "--plot", "link.png")
+    assert radar.read_bytes() == truth.read_bytes() == before
+
+
+def test_too_few_measurements_name_the_file(tmp_path, capsys):
+    path = tmp_path / "two.csv"
+    path.write_text("t,x,y\n0,0,0\n1,1,1\n")
+    text = refused(capsys, "track", path)
+    assert text.startswith("jink: two.csv: tracks must hold three measurements")
+
+
+@pytest.mark.parametrize(
+    ("header", "clock", "size", "arguments", "words"),
+    [
+        ("t,x,y", 1.0, 1.0, ("--degrees", "--compass"), "--degrees is ignored.*--compass is ignored"),
+        ("t,x,y", 1.0, 1.0, ("--show", "plain"), "--show is ignored without --plot"),
+        ("t,x,y", 5e6, 1.0, (), r"rows are 5e\+06 s apart, 58 days"),
+        ("t,x,y", 1e11, 1.0, (), "look like milliseconds"),
+        ("t,lon_deg,lat_deg", 1.0, 1e-3, ("--columns", "x=lon_deg,y=lat_deg"), "look like degrees"),
+        ("t,lon_deg,lat_deg", 1.0, 1e3, ("--columns", "x=lon_deg,y=lat_deg"), ""),
+        ("t,x,y", 1.0, 1e-3, (), ""),
+    ],
+)
+def test_odd_files_are_questioned(tmp_path, capsys, header, clock, size, arguments, words):
+    path = tmp_path / "plain.csv"
+    z = np.random.default_rng(0).normal(scale=size, size=(20, 2))
+    table = np.column_stack([clock * np.arange(20.0), z + size * np.arange(20.0)[:, None]])
+    pd.DataFrame(table, columns=header.split(",")).to_csv(path, index=False)
+    given = ("-e", "kf-cv", "--sigma", size, "--acceleration", 1, "--speed", 1)
+    assert run("track", path, *given, *arguments) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert re.search(words, text) if words else not re.search("look like|ignored|apart", text)
+
+
+@pytest.mark.parametrize(
+    ("interval", "value", "origin"), [(0.5, 10, "default"), (5, 50, "interval"), (0.1, 2, "length")]
+)
+def test_sojourn_fits_the_file(tmp_path, capsys, interval, value, origin):
+    rows_of_file = 81
+    path = tmp_path / "plain.csv"
+    z = np.random.default_rng(0).normal(size=(rows_of_file, 2))
+    pd.DataFrame({"t": interval * np.arange(rows_of_file), "x": z[:, 0], "y": z[:, 1]}).to_csv(path, index=False)
+    assert run("track", path, "--sigma", 1, "--acceleration", 1, "--speed", 1) == 0
+    assert re.search(rf"sojourn +{origin} +{value} +s", capsys.readouterr().out)
+
+
+def test_outliers_are_named_above_the_errors(radar, capsys):
+    frame = pd.read_csv(radar)
+    frame.loc[[20, 27, 34, 41, 48], "x"] += 3000.0
+    frame.to_csv(radar, index=False)
+    given = ("track", radar, "-e", "kf-cv", "--sigma", 15, "--acceleration", 1, "--speed", 20)
+    assert run(*given) == 0
+    text = capsys.readouterr().out
+    assert 0 < text.index("--gate leaves them out") < text.index("error against truth")
+    assert run(*given, "--gate") == 0
+    text = capsys.readouterr().out
+    assert "5 measurements left out by --gate" in text and "leaves them out" not in text
+
+
+@pytest.mark.parametrize(("high", "flat"), [(1.0, True), (400.0, False)])
+def test_flat_anchors_suggest_two_axes(high, flat):
+    places = np.array([[0.0, 0, 0], [100, 0, 0], [100, 100, high], [0, 100, 0]])
+    T = 40
+    states = np.zeros((1, T, 6))
+    states[0, :, :3] = places[np.arange(T) % 4]
+    reach = np.linalg.norm(states[..., :3] - [30.0, 60.0, 2.0], axis=2)[..., None]
+    times = np.arange(float(T))[None]
+    tracks = Tracks(("a",), times, reach, "range", np.array([T]), 3, sensor_states=states)
+    outliers = SimpleNamespace(nis=np.where(times % 4 == 1, 60.0, 1.0), nis_dof=np.ones((1, T), dtype=int))
+    hint = outlier_hint(tracks, outliers, gated=False)
+    assert hint.startswith("10 measurements lie") and "--gate" in hint
+    assert ("--axes 2 --height" in hint) == flat
+    assert ("--axes 2" in outlier_hint(tracks, outliers, gated=True)) == flat
+    outliers.nis[:] = 1.0
+    assert outlier_hint(tracks, outliers, gated=False) == ""
+
+
+@pytest.mark.parametrize(
+    ("mean", "inside", "words"),
+    [
+        (1.0, 0.95, "consistent"),
+        (1.2, 0.94, "nearly consistent"),
+        (1.2, 0.89, "too sure of itself"),
+        (1.3, 0.94, "too sure of itself"),
+        (0.9, 0.97, "nearly consistent"),
+        (0.7, 0.99, "cautious"),
+    ],
+)
+def test_verdict_on_innovations(mean, inside, words):
+    assert nis_verdict(mean, 0.97, 1.03, inside) == words
+
+
+def test_long_tracks_are_drawn_in_bins():
+    clock = np.concatenate([np.arange(3000.0), 6000.0 + np.arange(3000.0)])
+    probs = np.where(np.arange(6000)[:, None] < 3000, [0.9, 0.1], [0.2, 0.8])
+    probs[::2] = probs[::2, ::-1].copy()  # flickers from row to row
+    edges, bins, shares = plotting._bin_modes(clock, probs)
+    assert len(edges) == len(shares) <= 252 and edges[0] == 0 and edges[-1] == clock[-1]
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0)
+    np.testing.assert_allclose(shares[bins], 0.5, atol=0.06)  # 36 rows to a bin, odd or even
+    assert np.all(np.diff(bins) >= 0) and len(bins) == len(clock)
+    short = plotting._bin_modes(clock[:500], probs[:500])
+    assert short[0] is not None and np.array_equal(short[2], probs[:500]) and np.array_equal(short[1], np.arange(500))
+
+
+def test_progress_reaches_its_end(radar):
+    frame = pd.read_csv(radar)
+    lost = frame.assign(track="b", x=np.nan)  # never located: skipped, but done with
+    lost["y"] = np.nan
+    path = radar.with_name("both.csv")
+    pd.concat([frame, lost]).to_csv(path, index=False)
+    tracks = read_tracks(path)
+    estimator = make_estimator("kf-cv", position(2, 15.0))
+    for work in (gate_tracks, lambda *a, advance: forecast_ends(*a, 1.0, advance=advance)):
+        done = []
+        work(estimator, tracks, advance=done.append)
+        assert sum(done) == tracks.lengths.sum()
 
 
 def test_an_unwritable_folder_is_one_sentence(radar, capsys, monkeypatch):
@@ -251,6 +399,56 @@ def test_a_failing_cell_is_a_row_and_is_tried_again(few_cells, tmp_path, capsys,
     monkeypatch.setattr(published, "run_cell", compute)
     assert run(*arguments) == 0
     assert set(rows.read_rows(out)["status"]) == {"ok"}
+
+
+def test_two_processes_lose_no_rows(tmp_path):
+    out, count = tmp_path / "rows.parquet", 8
+    code = (
+        "import sys; from pathlib import Path; from jink.training.rows import *\n"
+        "for i in range(int(sys.argv[3])): append_rows(Path(sys.argv[1]), make_rows("
+        "Cell('s', str(i), sys.argv[2], 1, 1, ''), {}, status='skipped'))"
+    )
+    writers = [
+        subprocess.Popen([sys.executable, "-c", code, str(out), name, str(count)], env=dict(os.environ))
+        for name in ("a", "b", "c")
+    ]
+    assert [writer.wait(timeout=120) for writer in writers] == [0, 0, 0]
+    table = rows.read_rows(out)
+    assert sorted(zip(table["estimator"], table["scenario"], strict=True)) == sorted(
+        (name, str(i)) for name in "abc" for i in range(count)
+    )
+    assert [path.name for path in tmp_path.iterdir()] == ["rows.parquet"]
+
+
+def test_rows_are_of_these_sources_and_these_files(radar, tmp_path, monkeypatch):
+    def no_git(*_, **__):
+        raise FileNotFoundError
+
+    monkeypatch.setattr("subprocess.run", no_git)
+    rows.commit.cache_clear()
+    key = rows.commit()
+    assert re.fullmatch("sources [0-9a-f]{12}", key)
+    hashed = []
+    monkeypatch.setattr(rows, "hash_files", lambda *paths: hashed.extend(paths) or "other")
+    rows.commit.cache_clear()
+    assert rows.commit() == "sources other"
+    assert {"rows.py", "kalman.py", "recorded.py"} <= {path.name for path in hashed}
+    rows.commit.cache_clear()
+
+    request = bench_module.BenchRequest("recorded", data=radar.parent)
+    first, same = ([job.cell for job in bench_module._recorded(request)] for _ in range(2))
+    assert first == same and all(cell.data for cell in first if cell.scenario == "radar.csv")
+    radar.write_text(radar.read_text().replace("\na,0", "\na,0.5", 1))
+    changed = [job.cell for job in bench_module._recorded(request)]
+    pairs = [(a, b) for a, b in zip(first, changed, strict=True) if a.scenario == "radar.csv"]
+    assert pairs and all(a != b and a._replace(data="") == b._replace(data="") for a, b in pairs)
+
+
+def test_rows_without_a_hash_are_read(few_cells, tmp_path):
+    out = tmp_path / "rows.parquet"
+    rows.append_rows(out, rows.make_rows(rows.Cell("s", "a", "b", 1, 1, ""), {}))
+    pd.read_parquet(out).drop(columns="data").to_parquet(out)
+    assert list(rows.read_rows(out)["data"]) == [""]
 
 
 def test_a_foreign_file_is_not_overwritten(few_cells, tmp_path, capsys):

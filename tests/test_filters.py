@@ -179,9 +179,7 @@ def test_noise_from_diffusion_is_the_integral_over_the_flow():
     state = est.start([1.0, 2.0], 0.0, prior=Prior([np.ones(4)], [1e-6 * np.eye(4)], includes_first=True))
     after, _ = est.step(state, [np.nan, np.nan], 0.8)
     # Three Gauss points over an exponential flow: relative error of order (0.3 * 0.8)^6 / 1e6.
-    np.testing.assert_allclose(
-        after.cov[0, 0, :4, :4], Q + 1e-6 * phi(0.8) @ phi(0.8).T, rtol=1e-6, atol=1e-9
-    )
+    np.testing.assert_allclose(after.cov[0, 0, :4, :4], Q + 1e-6 * phi(0.8) @ phi(0.8).T, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(after.mean[0, 0, :4], phi(0.8) @ np.ones(4), rtol=1e-12)
 
 
@@ -246,9 +244,7 @@ def test_a_lost_anchor_is_a_sensor_without_it(lost):
     part = z.copy()
     part[:, lost] = np.nan
     left = FILTERS["ct"](ranges(anchors)).run(part, np.arange(40.0), R, prior=PRIOR)
-    right = FILTERS["ct"](ranges(anchors[keep])).run(
-        z[:, keep], np.arange(40.0), R[np.ix_(keep, keep)], prior=PRIOR
-    )
+    right = FILTERS["ct"](ranges(anchors[keep])).run(z[:, keep], np.arange(40.0), R[np.ix_(keep, keep)], prior=PRIOR)
     for a, b in zip(left, right, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-11)
 
@@ -302,9 +298,7 @@ def test_bearings_wrap_where_the_circle_closes():
     out = est.run(z, np.arange(40.0))
     shifted = est.run(z + np.array([0.0, 4 * np.pi]), np.arange(40.0))
     np.testing.assert_allclose(shifted.position, out.position, atol=1e-9)
-    assert (
-        np.abs(out.position[0, 10:] - path[10:]).max() < 2.0
-    )  # an unwrapped bearing throws it tens of metres
+    assert np.abs(out.position[0, 10:] - path[10:]).max() < 2.0  # an unwrapped bearing throws it tens of metres
     # Half a turn of the scene only flips signs, so even an unscented filter follows to rounding.
     opposite = est.run(z + np.array([0.0, np.pi]), np.arange(40.0))
     np.testing.assert_allclose(opposite.position, -out.position, atol=1e-8)

@@ -162,9 +162,7 @@ def test_normalised_innovations_square_to_the_nis():
     white = metrics.normalise_innovations(v, np.stack([S, S]))
     assert np.sum(white[0] ** 2) == pytest.approx(v[0] @ np.linalg.inv(S) @ v[0])
     keep = [0, 2]
-    assert np.nansum(white[1] ** 2) == pytest.approx(
-        v[1, keep] @ np.linalg.inv(S[np.ix_(keep, keep)]) @ v[1, keep]
-    )
+    assert np.nansum(white[1] ** 2) == pytest.approx(v[1, keep] @ np.linalg.inv(S[np.ix_(keep, keep)]) @ v[1, keep])
     assert np.isnan(white[1, 1])
     with pytest.raises(ValueError, match="positive definite"):
         metrics.normalise_innovations(v[:1], -S[None])
@@ -329,9 +327,7 @@ def test_a_started_track_without_a_position_is_an_infinite_error_in_the_summary(
 def test_inputs_are_left_alone():
     e = fake_estimates()
     before = [np.array(field) for field in e]
-    metrics.summary(
-        e, np.zeros((2, 5, 2)), np.zeros((2, 5, 2)), [5, 4], true_modes=np.zeros((2, 5)), gate=1.0
-    )
+    metrics.summary(e, np.zeros((2, 5, 2)), np.zeros((2, 5, 2)), [5, 4], true_modes=np.zeros((2, 5)), gate=1.0)
     for field, copy in zip(e, before, strict=True):
         np.testing.assert_array_equal(field, copy)
 

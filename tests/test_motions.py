@@ -216,9 +216,7 @@ def test_flow_law(key, a, b):
     motion = CASES[key]
     for x in states(motion):
         # round-off of the longer path only
-        np.testing.assert_allclose(
-            move(motion, move(motion, x, a), b), move(motion, x, a + b), rtol=1e-9, atol=1e-9
-        )
+        np.testing.assert_allclose(move(motion, move(motion, x, a), b), move(motion, x, a + b), rtol=1e-9, atol=1e-9)
 
 
 @every
@@ -233,9 +231,9 @@ def test_no_time_no_motion(key):
 def test_transition_solves_its_equation(key):
     motion = CASES[key]
     for x in states(motion, 3):
-        found = solve_ivp(
-            lambda _, y: derivative(motion, y), (0.0, 2.5), x, method="DOP853", rtol=1e-11, atol=1e-11
-        ).y[:, -1]
+        found = solve_ivp(lambda _, y: derivative(motion, y), (0.0, 2.5), x, method="DOP853", rtol=1e-11, atol=1e-11).y[
+            :, -1
+        ]
         np.testing.assert_allclose(move(motion, x, 2.5), found, rtol=1e-8, atol=1e-7)
 
 
@@ -275,9 +273,7 @@ def test_published_left_turn():
     # Bar-Shalom, Li, Kirubarajan (2001), 11.7: 90 s at 1 degree/s to the left, and back at 3 degree/s
     first = move(make_motion("known-turn", rate=math.radians(1)), np.array([1e4, -120.0, 1e4, 0.0]), 90.0)
     np.testing.assert_allclose(first, [3124.506, 0.0, 3124.506, -120.0], atol=1e-3)
-    second = move(
-        make_motion("known-turn", rate=-math.radians(3)), np.array([3124.506, 0.0, -11875.494, -120.0]), 30.0
-    )
+    second = move(make_motion("known-turn", rate=-math.radians(3)), np.array([3124.506, 0.0, -11875.494, -120.0]), 30.0)
     np.testing.assert_allclose(second, [832.675, -120.0, -14167.325, 0.0], atol=1e-3)
 
 
@@ -365,17 +361,13 @@ def test_singer_between_its_limits():
     kept = np.ix_([0, 1, 3, 4], [0, 1, 3, 4])
     straight = noise(make_motion("constant-velocity", acceleration_density=0.7), np.zeros(4), 3.0)
     assert_covariances_close(quick[kept], straight, 1e-5)  # the difference is of the order of tau / dt
-    np.testing.assert_allclose(
-        noise(make_motion("singer", time_constant=2.0, acceleration_sd=3.0), x, 1e3)[2, 2], 9.0
-    )
+    np.testing.assert_allclose(noise(make_motion("singer", time_constant=2.0, acceleration_sd=3.0), x, 1e3)[2, 2], 9.0)
 
 
 def test_held_acceleration_is_the_textbook_matrix():
     motion = make_motion("constant-velocity", acceleration_density=0.0, held_acceleration=2.0)
     gain = np.array([[12.5], [5.0]])
-    np.testing.assert_allclose(
-        noise(motion, np.zeros(4), 5.0), block_diag(4 * gain @ gain.T, 4 * gain @ gain.T)
-    )
+    np.testing.assert_allclose(noise(motion, np.zeros(4), 5.0), block_diag(4 * gain @ gain.T, 4 * gain @ gain.T))
     turn = make_motion("known-turn", rate=0.2, acceleration_density=0.0, held_acceleration=2.0)
     np.testing.assert_allclose(noise(turn, np.zeros(4), 5.0), noise(motion, np.zeros(4), 5.0))
 
@@ -414,9 +406,7 @@ def test_assembled_state_keeps_position_and_velocity(key):
     for scale in (1.0, 30.0, 0.0):
         kin = np.concatenate([rng.normal(0, 500, motion.axes), rng.normal(0, 1, motion.axes) * scale])
         for own in (np.zeros(len(motion.own_labels)), rng.normal(0, 20, len(motion.own_labels))):
-            np.testing.assert_allclose(
-                kinematics(motion, assemble(motion, kin, own)), kin, rtol=1e-9, atol=1e-9
-            )
+            np.testing.assert_allclose(kinematics(motion, assemble(motion, kin, own)), kin, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("key", [key for key, motion in CASES.items() if motion.own_from_jet])
@@ -430,9 +420,7 @@ def test_own_parameters_come_back_from_the_jet(key):
         own = np.full(len(motion.own_labels), 123.0)
         motion.own_from_jet(jet, params(motion), own)
         wanted = own_of(motion, x)
-        if (
-            motion.name == "spatial_turn"
-        ):  # the part of the rate along the velocity leaves no trace in the jet
+        if motion.name == "spatial_turn":  # the part of the rate along the velocity leaves no trace in the jet
             along = kin[3:] / np.linalg.norm(kin[3:])
             wanted = wanted - along * (wanted @ along)
         if len(own) == 2 * motion.axes:  # acceleration and jerk: a jet says nothing about jerk
@@ -473,9 +461,7 @@ def test_turned_scene_turns_the_path(key):
         np.testing.assert_allclose(turned, both @ path, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "key", ["known-turn", "coordinated-turn", "drag-coast", "drag-coast/3", "spatial-turn"]
-)
+@pytest.mark.parametrize("key", ["known-turn", "coordinated-turn", "drag-coast", "drag-coast/3", "spatial-turn"])
 def test_turned_scene_turns_the_noise(key):
     motion = CASES[key]
     turn = turn_matrix(1.1, motion.axes)
@@ -529,9 +515,7 @@ def test_compiled_equals_python(key):
     n = motion.size
     for x in states(motion, 2):
         out, covariance = np.full(n, np.nan), np.zeros((n, n))
-        run_compiled(
-            motion.transition.address, motion.noise.address, x, 0.83, params(motion), out, covariance
-        )
+        run_compiled(motion.transition.address, motion.noise.address, x, 0.83, params(motion), out, covariance)
         # fused multiply-add may change the last digits
         np.testing.assert_allclose(out, move(motion, x, 0.83), rtol=1e-12, atol=1e-10)
         assert_covariances_close(covariance, noise(motion, x, 0.83), 1e-12)
@@ -557,9 +541,7 @@ def test_compiled_never_raises(key):
         for dt in (0.0, 1e-9, 1e4):
             out, covariance = np.zeros(n), np.zeros((n, n))
             x = np.full(n, value)
-            run_compiled(
-                motion.transition.address, motion.noise.address, x, dt, params(motion), out, covariance
-            )
+            run_compiled(motion.transition.address, motion.noise.address, x, dt, params(motion), out, covariance)
             if abs(value) < 1e10:
                 assert np.isfinite(out).all() and np.isfinite(covariance).all()
 

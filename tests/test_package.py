@@ -116,11 +116,7 @@ def test_installed_files_are_those_of_the_tree(layer):
     """A stale installation would test old code; a subpackage missing from pyproject.toml would not ship."""
     here, there = ROOT / layer, Path(importlib.import_module(f"jink.{layer}").__path__[0])
     wanted, found = (
-        {
-            path.relative_to(top)
-            for path in top.rglob("*")
-            if path.is_file() and "__pycache__" not in path.parts
-        }
+        {path.relative_to(top) for path in top.rglob("*") if path.is_file() and "__pycache__" not in path.parts}
         for top in (here, there)
     )
     assert {Path("__init__.py"), Path("py.typed")} <= wanted
@@ -233,8 +229,6 @@ def test_readme_blocks_run_in_order(tmp_path):
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
     environment = {**os.environ, "PATH": path}
     for command in ([sys.executable, "-c", script], ["bash", "-euo", "pipefail", "-c", shell]):
-        done = subprocess.run(
-            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
-        )
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{command[-1]}\n{done.stdout}\n{done.stderr}"
     assert (tmp_path / "track.png").stat().st_size > 0

@@ -17,9 +17,7 @@ from jink.envs.published import ATC_TURNS, JUMP_LINEAR, SCENARIOS, UNCERTAIN, ge
 from jink.envs.published_legs import Leg
 
 DEGREE = np.pi / 180
-RECORDED = (
-    Path(os.environ.get("JINK_DATA", Path(__file__).parents[2] / "shared" / "data")) / "published_scenarios"
-)
+RECORDED = Path(os.environ.get("JINK_DATA", Path(__file__).parents[2] / "shared" / "data")) / "published_scenarios"
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -52,9 +50,7 @@ def test_randomness_is_data(name):
     louder = dataclasses.replace(scenario, sigma=3 * scenario.sigma).simulate(2, seed=7)
     np.testing.assert_array_equal(louder.state, few.state)
     # Adding and removing positions of 1e5 m leaves about 1e-11 m of rounding.
-    np.testing.assert_allclose(
-        louder.measurements - louder.position, 3 * (few.measurements - few.position), atol=1e-9
-    )
+    np.testing.assert_allclose(louder.measurements - louder.position, 3 * (few.measurements - few.position), atol=1e-9)
 
 
 def test_jump_streams_differ():
@@ -160,9 +156,7 @@ def test_bad_jump_scenarios_are_refused(change, words):
 
 
 def test_clear_sentences():
-    with pytest.raises(
-        ValueError, match=r"must be one of b1-.*; got 'b2-atc-turns'\. Did you mean 'b2-atc-turns-v0'"
-    ):
+    with pytest.raises(ValueError, match=r"must be one of b1-.*; got 'b2-atc-turns'\. Did you mean 'b2-atc-turns-v0'"):
         get_scenario("b2-atc-turns")
     with pytest.raises(ValueError, match="runs must be an integer >= 1; got 0"):
         ATC_TURNS.simulate(0, seed=1)
@@ -276,9 +270,9 @@ def test_cv_ca_numbers():
     own = np.array([[True] * 4 + [False] * 2, [True] * 6])
 
     def run_imm(known):
-        return reference.run_imm(
-            modes, data.mode_transition, data.mode_probs0, data.measurements, *prior, known=known
-        )[0]
+        return reference.run_imm(modes, data.mode_transition, data.mode_probs0, data.measurements, *prior, known=known)[
+            0
+        ]
 
     always_ca = np.ones(data.modes.shape, dtype=int)
     estimates = {

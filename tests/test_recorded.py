@@ -230,9 +230,7 @@ def test_mapping_beats_recognition_and_can_switch_a_column_off(tmp_path):
     path = write(tmp_path / "a.csv", "t,x,y,east,north,label,id\n0,1,2,3,4,turn,a\n1,1,2,3,4,turn,b\n")
     assert read_tracks(path).measurements[:, 0].tolist() == [[1, 2], [1, 2]]
     tracks = read_tracks(path, parse_columns("x=north,y=east,track=,intent="))
-    assert (
-        tracks.measurements.tolist() == [[[4, 3], [4, 3]]] and tracks.intents is None and tracks.ids == ("a",)
-    )
+    assert tracks.measurements.tolist() == [[[4, 3], [4, 3]]] and tracks.intents is None and tracks.ids == ("a",)
     assert tracks.notes[0] == "columns: t=t, x=north, y=east"
 
 
@@ -281,9 +279,7 @@ def test_every_kind_the_reader_names_is_a_sensor_of_as_many_components(tmp_path,
 
 
 def test_slant_ranges_come_down_to_the_plane(tmp_path):
-    path = write(
-        tmp_path / "a.csv", "t,anchor,ax,ay,az,range,sigma_range\n0,A,1,2,5,5,0.4\n1,B,3,4,5,2.9,0.4\n"
-    )
+    path = write(tmp_path / "a.csv", "t,anchor,ax,ay,az,range,sigma_range\n0,A,1,2,5,5,0.4\n1,B,3,4,5,2.9,0.4\n")
     slant = read_tracks(path)
     assert slant.axes == 3 and slant.sensor_states[0, 0].tolist() == [1, 2, 5, 0, 0, 0]
     flat = read_tracks(path, axes=2, height=2.0)
@@ -294,9 +290,7 @@ def test_slant_ranges_come_down_to_the_plane(tmp_path):
 
 
 def test_degrees_become_local_metres(tmp_path):
-    path = write(
-        tmp_path / "a.csv", "t,lat,lon,alt\n0,45,7,100\n1,45.001,7,100\n2,45,7.001,110\n3,45,7.001,\n4,,,1\n"
-    )
+    path = write(tmp_path / "a.csv", "t,lat,lon,alt\n0,45,7,100\n1,45.001,7,100\n2,45,7.001,110\n3,45,7.001,\n4,,,1\n")
     tracks = read_tracks(path, {"alt": "alt"})
     # Lengths of 0.001 degree at latitude 45 (WGS84, at 100 m): 111.1338 m north, 78.8480 m east; 1 mm covers
     # the curvature over 110 m.
@@ -360,9 +354,7 @@ def test_truth_matches_tracks_by_name(tmp_path):
 
 def test_estimates_are_written_and_read_back(tmp_path):
     rng = np.random.default_rng(1)
-    tracks = Tracks.from_arrays(
-        [np.ones((3, 2)), np.ones((1, 2))], [np.arange(3.0), np.zeros(1)], ids=["p", "q"]
-    )
+    tracks = Tracks.from_arrays([np.ones((3, 2)), np.ones((1, 2))], [np.arange(3.0), np.zeros(1)], ids=["p", "q"])
     cov = np.broadcast_to(np.diag([1.0, 4.0, 9.0, 16.0]), (2, 3, 4, 4))
     estimates = SimpleNamespace(
         position=rng.normal(size=(2, 3, 2)),
@@ -485,9 +477,7 @@ def test_recorded_errors_are_those_of_the_source(data_dir):
     assert np.nanmedian(np.linalg.norm(fixes.measurements - fixes.truth, axis=-1)) < 0.25
     folder = data_dir / "plaza_range"
     ranges = read_tracks(folder / "plaza1_ranges.csv", sort=True, truth=folder / "plaza1_truth.csv")
-    error = ranges.measurements[0, :, 0] - np.linalg.norm(
-        ranges.truth[0] - ranges.sensor_states[0, :, :2], axis=1
-    )
+    error = ranges.measurements[0, :, 0] - np.linalg.norm(ranges.truth[0] - ranges.sensor_states[0, :, :2], axis=1)
     # The source gives a bias of 2.8 m and a robust sigma of 1.2 m.
     assert abs(np.nanmedian(error) - 2.8) < 0.1
     assert abs(1.4826 * np.nanmedian(np.abs(error - np.nanmedian(error))) - 1.2) < 0.1

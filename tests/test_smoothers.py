@@ -137,10 +137,7 @@ def test_modes_that_never_switch_are_smoothed_apart():
     final = bank.run(z, times, prior=PRIOR).mode_probs[0, -1]
     assert 0.02 < final[0] < 0.98
     np.testing.assert_allclose(out.mode_probs[0], np.tile(final, (15, 1)), rtol=1e-9)
-    singles = [
-        BankEstimator(Bank((mode,), position(2, 1.0))).smooth(z, times, prior=PRIOR)
-        for mode in bank.bank.modes
-    ]
+    singles = [BankEstimator(Bank((mode,), position(2, 1.0))).smooth(z, times, prior=PRIOR) for mode in bank.bank.modes]
     for k in range(15):
         mean, cov = textbook.moments(
             final,
@@ -210,9 +207,7 @@ def switching(rng, tracks, rows):
     for k in range(rows):
         if k:
             q = np.array([0.01, 4.0])[modes[0, k]]
-            state = (
-                state @ np.array([[1.0, 0], [1, 1]]) + np.sqrt(q) * rng.normal(size=(tracks, 2, 2)) @ step.T
-            )
+            state = state @ np.array([[1.0, 0], [1, 1]]) + np.sqrt(q) * rng.normal(size=(tracks, 2, 2)) @ step.T
         truth.append(state)
     truth = np.stack(truth, 1)
     return truth[..., 0], modes, truth[..., 0] + rng.normal(size=truth.shape[:3])
@@ -227,10 +222,7 @@ def test_the_bank_smoother_beats_its_filter_and_every_single_smoother():
     est = quiet_and_loud(MarkovChain.per_step([[0.95, 0.05], [0.05, 0.95]]))
     times = np.arange(45.0)
     smooth, run = est.smooth(z, times, prior=PRIOR), est.run(z, times, prior=PRIOR)
-    singles = [
-        BankEstimator(Bank((mode,), position(2, 1.0))).smooth(z, times, prior=PRIOR)
-        for mode in est.bank.modes
-    ]
+    singles = [BankEstimator(Bank((mode,), position(2, 1.0))).smooth(z, times, prior=PRIOR) for mode in est.bank.modes]
     best = min(rms(s.position - truth) for s in singles)
     assert rms(smooth.position - truth) < 0.97 * best
     assert rms(smooth.position - truth) < 0.8 * rms(run.position - truth)
@@ -239,9 +231,7 @@ def test_the_bank_smoother_beats_its_filter_and_every_single_smoother():
     # The truth is inside what it claims: mean squared distance of a matched smoother is 2.
     error = smooth.position - truth
     cov = smooth.covariance[..., :2, :2]
-    assert (
-        1.6 < np.mean(np.einsum("bti,bti->bt", error, np.linalg.solve(cov, error[..., None])[..., 0])) < 2.4
-    )
+    assert 1.6 < np.mean(np.einsum("bti,bti->bt", error, np.linalg.solve(cov, error[..., None])[..., 0])) < 2.4
 
 
 def turning_tracks(rng, tracks=4, rows=30):
@@ -272,9 +262,7 @@ def test_every_recipe_smooths_and_the_last_row_is_the_filter(name):
     eigenvalues = np.linalg.eigvalsh(smooth.covariance[:3])
     assert (eigenvalues > -1e-9 * eigenvalues[..., -1:]).all()
     if name in ("kf-cv", "kf-ca", "singer", "imm"):
-        trace = np.trace(smooth.covariance[:2], axis1=2, axis2=3) - np.trace(
-            run.covariance[:2], axis1=2, axis2=3
-        )
+        trace = np.trace(smooth.covariance[:2], axis1=2, axis2=3) - np.trace(run.covariance[:2], axis1=2, axis2=3)
         assert trace.mean() < 0
     for b in range(4):
         alone = est.smooth(z[b], times, lengths=lengths[b : b + 1])
@@ -309,9 +297,7 @@ def test_unlike_states_smooth_better_than_they_filter(interaction):
 def test_headings_smooth_the_same_on_both_sides_of_the_seam(interaction):
     # Half a turn of the scene puts headings about 0 onto the seam at pi; points only change sign.
     rng = np.random.default_rng(12)
-    z = np.column_stack([6.0 * np.arange(25), 0.4 * np.cumsum(rng.normal(size=25))]) + 0.5 * rng.normal(
-        size=(25, 2)
-    )
+    z = np.column_stack([6.0 * np.arange(25), 0.4 * np.cumsum(rng.normal(size=25))]) + 0.5 * rng.normal(size=(25, 2))
     bank = Bank(
         (
             Mode("cv", constant_velocity(2, acceleration_density=0.05)),

@@ -18,11 +18,13 @@ from jink.training.catalogue import SUITES
 from jink.training.console import check_writable, progress, say_when_compiling
 from jink.training.recorded_scores import score_report
 from jink.training.recorded_suite import ESTIMATORS, list_files, list_flags
-from jink.training.rows import Cell, append_rows, commit, finished_cells, make_rows, now, read_rows
+from jink.training.rows import Cell, append_rows, commit, finished_cells, hash_files, make_rows, now, read_rows
 from jink.training.tables import print_published, print_recorded
 from jink.training.track import choose, estimate, read
 
 __all__ = ["BenchRequest", "bench"]
+
+_SEED = 1
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class BenchRequest:
     out: Path | None = None
     data: Path | None = None
     runs: int | None = None
-    seed: int = 1
+    seed: int | None = None
 
 
 class Job(NamedTuple):
@@ -62,10 +64,11 @@ def bench(request: BenchRequest, console: Console) -> int:
         raise ValueError(f"--suite: name must be one of {', '.join(SUITES)}; got '{request.suite}'. See jink list.")
     if request.runs is not None and request.runs < 1:
         raise ValueError(f"--runs: value must be >= 1; got {request.runs}. Leave it out for the source's.")
-    if request.seed < 0:
+    if request.seed is not None and request.seed < 0:
         raise ValueError(f"--seed: value must be >= 0; got {request.seed}. Use for example --seed 1.")
     if request.suite == "recorded" and request.data is None:
         raise ValueError("--data: folder must be given for the suite recorded; got none. Add --data DIR.")
+    _refuse_unused(request)
     check_writable(request.out, "--out", (".parquet",))
     with ExitStack() as stack:
         out = request.out or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "rows.parquet"
@@ -88,6 +91,18 @@ def bench(request: BenchRequest, console: Console) -> int:
     if request.out is not None:
         console.print(f"wrote {request.out}", markup=False)
     return int((rows["status"] == "error").any())
+
+
+def _refuse_unused(request: BenchRequest) -> None:
+    """Options that the suite would not look at: whoever gives them expects something else."""
+    given = {"--data": request.data, "--quick": request.quick or None, "--runs": request.runs, "--seed": request.seed}
+    unused = ("--data",) if request.suite == "published" else ("--quick", "--runs", "--seed")
+    for option in unused:
+        if given[option] is not None:
+            raise ValueError(
+                f"{option}: option must be left out of the suite {request.suite}, which does not use it; "
+                f"got {given[option]}. Leave it out."
+            )
 
 
 def _rows(job: Job) -> pd.DataFrame:
@@ -127,7 +142,8 @@ def _published(request: BenchRequest) -> Iterator[Job]:
         if request.quick and not published_values(known):
             continue
         runs = request.runs or known.runs
-        cell = Cell("published", known.scenario, known.estimator, runs, request.seed, commit())
+        seed = _SEED if request.seed is None else request.seed
+        cell = Cell("published", known.scenario, known.estimator, runs, seed, commit())
         yield Job(cell, lambda started, known=known, cell=cell: compute(known, cell, started))  # type: ignore[misc]
 
 
@@ -164,6 +180,8 @@ def _recorded(request: BenchRequest) -> Iterator[Job]:
         )
 
     for file in list_files(request.data):
+        files = () if file.request is None else (file.request.file, file.request.truth)
+        data = hash_files(*(path for path in files if path is not None))
         for estimator in ESTIMATORS if file.request is not None else ("raw",):
-            cell = Cell("recorded", file.name, estimator, 1, 0, commit())
+            cell = Cell("recorded", file.name, estimator, 1, 0, commit(), data)
             yield Job(cell, lambda started, file=file, cell=cell: compute(file, cell, started))  # type: ignore[misc]

@@ -184,7 +184,7 @@ def bench_command(
     out: Annotated[Path | None, typer.Option(help="Rows to this .parquet; appended.")] = None,
     data: Annotated[Path | None, typer.Option(help="Folder of recorded tracks.")] = None,
     runs: Annotated[int | None, typer.Option(help="Monte-Carlo runs; default those of the source.")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of truth and noise.")] = 1,
+    seed: Annotated[int | None, typer.Option(help="Seed of truth and noise; default 1.")] = None,
 ) -> int:
     """Compare estimators."""
     from jink.training.bench import BenchRequest, bench

@@ -6,14 +6,14 @@ import contextlib
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-__all__ = ["check_writable", "progress", "run_command", "say_when_compiling", "screen", "stderr"]
+__all__ = ["check_separate", "check_writable", "progress", "run_command", "say_when_compiling", "screen", "stderr"]
 
 PATIENCE_S = 2.0
 """A progress bar appears after this long."""
@@ -114,6 +114,24 @@ def check_writable(path: Path | None, option: str, suffixes: tuple[str, ...]) ->
         raise ValueError(
             f"{option}: folder must be writable; got {path.parent} ({error.strerror}). Choose another folder."
         ) from error
+
+
+def check_separate(path: Path | None, option: str, inputs: Mapping[str, Path | None]) -> None:
+    """Refuse an output file that is one of the inputs, under whatever name or link.
+
+    Args:
+        path: the file; None passes.
+        option: the command-line option that named it.
+        inputs: what each input is called, and where it is; None passes.
+
+    Raises:
+        ValueError: it is an input.
+    """
+    for name, file in inputs.items():
+        if path is not None and file is not None and path.exists() and file.exists() and path.samefile(file):
+            raise ValueError(
+                f"{option}: file must not be {name}, which would be lost; got {path}. Choose another name."
+            )
 
 
 def run_command(call: Callable[[], Any]) -> int:

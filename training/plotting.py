@@ -28,6 +28,8 @@ MODE_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9"
 """Okabe and Ito's palette, told apart with any colour vision."""
 _MEASURED, _TRUE, _BROKEN = "#999999", "#000000", "#D55E00"
 _ELLIPSES = 14
+_MAX_COLUMNS, _COLUMNS = 500, 250
+"""Tracks of more rows are drawn in bins, each two or three pixels wide."""
 _MARGIN = 0.06
 _PANEL_RATIO = 1.3
 
@@ -150,8 +152,10 @@ def _draw_map(axis: Any, report: TrackReport, b: int, T: int) -> None:
 
 
 def _draw_estimate(axis: Any, report: TrackReport, b: int, T: int, place: Floats) -> None:
-    """The estimated path, each step in the colour of its most probable mode."""
-    best = np.argmax(np.asarray(report.estimates.mode_probs)[b, :T], axis=1)
+    """The estimated path, in the colour of the most probable mode of each step, or of each bin of a long track."""
+    probs = np.asarray(report.estimates.mode_probs)[b, :T]
+    _, bins, shares = _bin_modes(report.tracks.times[b, :T], probs)
+    best = np.argmax(shares, axis=1)[bins]
     pieces = np.stack([place[:-1], place[1:]], axis=1)
     whole = np.isfinite(pieces).all(axis=(1, 2))
     several = len(report.modes) > 1
@@ -212,9 +216,31 @@ def _draw_height(axis: Any, report: TrackReport, b: int, T: int, clock: Floats) 
     axis.set_ylabel("z, m")
 
 
+def _bin_modes(clock: Floats, probs: Floats) -> tuple[Floats, NDArray[np.int64], Floats]:
+    """Mode probabilities in as many bins of equal time as can be told apart in print; short tracks row by row.
+
+    Args:
+        clock: time of each row; (T,).
+        probs: (T, M).
+
+    Returns:
+        where bins begin (K,), the bin of each row (T,), mean probabilities of each bin (K, M); empty bins left out.
+    """
+    if len(clock) <= _MAX_COLUMNS or clock[-1] <= clock[0]:
+        return clock, np.arange(len(clock)), probs
+    width = (clock[-1] - clock[0]) / _COLUMNS
+    column = np.minimum((clock - clock[0]) // width, _COLUMNS - 1).astype(np.int64)
+    kept, bins, counts = np.unique(column, return_inverse=True, return_counts=True)
+    sums = np.stack([np.bincount(bins, weights=p) for p in probs.T], axis=1)
+    # The last bin is drawn to the last row, as stackplot's steps end where they begin.
+    edges = np.append(clock[0] + kept * width, clock[-1])
+    shares = sums / counts[:, None]
+    return edges, bins, np.concatenate([shares, shares[-1:]])
+
+
 def _draw_ribbon(axis: Any, report: TrackReport, b: int, T: int, clock: Floats) -> None:
-    """Mode probabilities, stacked to one."""
-    probs = np.asarray(report.estimates.mode_probs)[b, :T]
+    """Mode probabilities, stacked to one; of a long track their means over bins."""
+    edges, _, shares = _bin_modes(clock, np.asarray(report.estimates.mode_probs)[b, :T])
     colours = [MODE_COLOURS[mode % len(MODE_COLOURS)] for mode in range(len(report.modes))]
-    axis.stackplot(clock, probs.T, colors=colours, step="post", lw=0, rasterized=T > 5000)
+    axis.stackplot(edges, shares.T, colors=colours, step="post", lw=0)
     axis.set(ylabel="mode", ylim=(0, 1), yticks=(0, 1))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 import importlib.metadata
+import importlib.util
 import json
 import os
 import platform
@@ -17,8 +19,9 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from jink.training.intervals import Measured
+from jink.training.locking import alone
 
-__all__ = ["Cell", "append_rows", "finished_cells", "make_rows", "provenance", "read_rows"]
+__all__ = ["Cell", "append_rows", "finished_cells", "hash_files", "make_rows", "provenance", "read_rows"]
 
 COLUMNS = {
     "suite": "string", "scenario": "string", "estimator": "string", "metric": "string", "value": "float64",
@@ -26,8 +29,9 @@ COLUMNS = {
     "published": "float64", "published_low": "float64", "published_high": "float64",
     "status": "string", "reason": "string", "runs": "int64", "seed": "int64", "parameters": "string",
     "steps": "int64", "seconds": "float64", "started": "string", "command": "string", "commit": "string",
-    "versions": "string", "machine": "string",
+    "data": "string", "versions": "string", "machine": "string",
 }  # fmt: skip
+PACKAGES = ("estimators", "intent", "envs", "training")
 STATUSES = ("ok", "diverged", "skipped", "error")
 
 
@@ -40,6 +44,8 @@ class Cell(NamedTuple):
     runs: int
     seed: int
     commit: str
+    data: str = ""
+    """Short hash of the recorded files, empty where nothing was read."""
 
 
 def read_rows(path: Path) -> pd.DataFrame:
@@ -54,12 +60,14 @@ def read_rows(path: Path) -> pd.DataFrame:
         rows = pd.read_parquet(path)
     except (OSError, ValueError) as error:
         raise ValueError(
-            f"read_rows: file must be Parquet rows of jink bench; got {path.name} ({error}). Choose another --out."
+            f"--out: file must be Parquet rows of jink bench; got {path.name} ({error}). Choose another --out."
         ) from error
+    if "data" not in rows.columns:
+        rows["data"] = ""  # rows made before it was recorded: of unknown files, so never taken for finished ones
     missing = [name for name in COLUMNS if name not in rows.columns]
     if missing:
         raise ValueError(
-            f"read_rows: file must have the columns of jink bench; got {path.name} without {', '.join(missing)}. "
+            f"--out: file must have the columns of jink bench; got {path.name} without {', '.join(missing)}. "
             "Choose another --out."
         )
     return rows[list(COLUMNS)].astype(COLUMNS)
@@ -82,15 +90,17 @@ def append_rows(path: Path, new: pd.DataFrame) -> None:
         ValueError: the file holds something else.
         OSError: it cannot be written.
     """
-    old = read_rows(path)
     keys = list(Cell._fields)
-    again = pd.MultiIndex.from_frame(old[keys]).isin(pd.MultiIndex.from_frame(new[keys]))
     part = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        pd.concat([old[~again], new], ignore_index=True).to_parquet(part, index=False)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    # Another process may add rows between our reading and our replacing: they would be lost.
+    with alone(path):
+        old = read_rows(path)
+        again = pd.MultiIndex.from_frame(old[keys]).isin(pd.MultiIndex.from_frame(new[keys]))
+        try:
+            pd.concat([old[~again], new], ignore_index=True).to_parquet(part, index=False)
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
 
 
 def make_rows(
@@ -127,8 +137,8 @@ def make_rows(
     if status not in STATUSES:
         raise ValueError(f"make_rows: status must be one of {', '.join(STATUSES)}; got '{status}'. Use one of them.")
     common = {
-        **cell._asdict(),
         **provenance(),
+        **cell._asdict(),
         "status": status,
         "reason": reason,
         "parameters": json.dumps(parameters or {}, sort_keys=True, default=str),
@@ -175,7 +185,10 @@ def _command(arguments: Sequence[str]) -> str:
 
 @functools.cache
 def commit() -> str:
-    """Commit of the source tree this package runs from, "+" where files differ from it, "" outside of one."""
+    """Commit of the source tree this package runs from; where files differ from it, "+" and their hash follow.
+
+    Outside of a tree: "sources " and the hash of the installed files.
+    """
     here = Path(__file__).resolve().parent
 
     def git(*arguments: str) -> str:
@@ -187,10 +200,28 @@ def commit() -> str:
     try:
         # An installed copy may lie inside some other project's tree, whose commit would say nothing.
         if not (Path(git("rev-parse", "--show-toplevel")) / "training" / Path(__file__).name).is_file():
-            return ""
-        return git("rev-parse", "HEAD") + ("+" if git("status", "--porcelain", "--untracked-files=no") else "")
+            return f"sources {_sources()}"
+        changed = git("status", "--porcelain", "--untracked-files=no")
+        return git("rev-parse", "HEAD") + (f"+{_sources()}" if changed else "")
     except (OSError, subprocess.SubprocessError):
+        return f"sources {_sources()}"
+
+
+def _sources() -> str:
+    """Short hash of all `*.py` of the installed packages of jink."""
+    specs = [importlib.util.find_spec(f"jink.{name}") for name in PACKAGES]
+    roots = [Path(place) for spec in specs if spec for place in spec.submodule_search_locations or ()]
+    return hash_files(*(path for root in roots for path in sorted(root.rglob("*.py"))))
+
+
+def hash_files(*paths: Path) -> str:
+    """Short hash of the contents of files, in this order; "" without any."""
+    if not paths:
         return ""
+    total = hashlib.sha256()
+    for path in paths:
+        total.update(hashlib.sha256(path.read_bytes()).digest())
+    return total.hexdigest()[:12]
 
 
 def _cpu() -> str:

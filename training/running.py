@@ -94,7 +94,7 @@ def gate_tracks(
         estimator: from `make_estimator`, run step by step.
         tracks: what was measured.
         use_noise: as for `run_tracks`.
-        advance: called with the rows of each track when it is done.
+        advance: called with the rows of each track when it is taken up.
 
     Returns:
         tracks with NaN instead of the outliers, and how many rows that were.
@@ -103,6 +103,8 @@ def gate_tracks(
     limits = chi2.isf(_INCREDIBLE, np.arange(1, tracks.measurements.shape[2] + 1))
     rejected = 0
     for b, track in enumerate(tracks):
+        if advance is not None:
+            advance(len(track.times))
         noise = track.noise if use_noise else None
         states = track.sensor_states
         head = slice(0, MAX_ROWS + 1)
@@ -136,8 +138,6 @@ def gate_tracks(
             elif dof:
                 refused = 0
             state = following
-        if advance is not None:
-            advance(len(track.times))
     return replace(tracks, measurements=cleaned), rejected
 
 
@@ -156,13 +156,15 @@ def forecast_ends(
         tracks: what was measured.
         horizon: s, >= 0.
         use_noise: as for `run_tracks`.
-        advance: called with the rows of each track when it is done.
+        advance: called with the rows of each track when it is taken up.
 
     Returns:
         one per track that could be started.
     """
     found = []
     for track in tracks:
+        if advance is not None:
+            advance(len(track.times))
         noise = track.noise if use_noise else None
         try:
             state = estimator.start(track.measurements, track.times, noise=noise, sensor_states=track.sensor_states)
@@ -170,8 +172,6 @@ def forecast_ends(
             continue  # its rows do not locate it: such a track has no end to start from
         mean, covariance = estimator.forecast(state, horizon)
         found.append(Forecast(track.id, float(track.times[-1] + horizon), mean, covariance))
-        if advance is not None:
-            advance(len(track.times))
     return found
 
 

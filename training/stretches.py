@@ -40,8 +40,8 @@ def cut_stretches(tracks: Tracks, steps: int) -> Tracks:
                 spans.append((b, first, last))
     if not spans:
         raise ValueError(
-            f"cut_stretches: tracks must hold three measurements in a row of one track; got "
-            f"{np.count_nonzero(present)} in all of {tracks.source or 'them'}. Give sigma, acceleration and speed."
+            "cut_stretches: tracks must hold three measurements in a row of one track; got "
+            f"{np.count_nonzero(present)} in all. Give --sigma, --acceleration and --speed."
         )
     mean_rows = np.mean([last - first for _, first, last in spans])
     count = int(np.clip(round(steps / mean_rows), 1, len(spans)))

@@ -7,9 +7,9 @@ from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from scipy.stats import chi2
 
 from jink.envs.estimates_file import STATUS_NAMES
+from jink.training.doubts import nis_verdict, outlier_hint
 from jink.training.track import TrackReport
 
 __all__ = ["number", "plain_table", "print_report"]
@@ -46,6 +46,8 @@ def print_report(console: Console, report: TrackReport) -> None:
     )
     for note in tracks.notes:
         console.print(f"  {escape(note)}", style="dim")
+    for doubt in report.doubts:
+        console.print(escape(doubt), style="yellow")
     table = plain_table("parameter", "from", "value", "unit", words=2)
     for name, value, unit, origin in report.parameters:
         table.add_row(name, origin, "by row" if origin == "file" else number(value), unit)
@@ -72,7 +74,7 @@ def _print_outcome(console: Console, report: TrackReport) -> None:
         + f"; {1e6 * report.seconds / steps:.2f} us per step, starting included"
     )
     low, high, mean = scores["nis_low"], scores["nis_high"], scores["nis_per_dof"]
-    verdict = "consistent" if low <= mean <= high else "cautious" if mean < low else "too sure of itself"
+    verdict = nis_verdict(mean, low, high, scores["nis_inside"])
     console.print(
         f"NIS per component {number(mean, 3)}, expected {number(low, 3)} to {number(high, 3)}: {verdict}; "
         f"{100 * scores['nis_inside']:.0f} % of steps inside their 95 % band; "
@@ -87,12 +89,11 @@ def _print_outcome(console: Console, report: TrackReport) -> None:
                 f"{escape(name)} {100 * share:.0f} %" for name, share in zip(report.modes, shares, strict=False)
             )
         )
-    dof = np.asarray(report.estimates.nis_dof)
-    wild = int((used & (dof > 0) & (np.asarray(report.estimates.nis) > chi2.isf(1e-5, np.maximum(dof, 1)))).sum())
     if report.rejected:
         console.print(f"{report.rejected} measurements left out by --gate")
-    elif wild > max(2, 1e-3 * steps):
-        console.print(f"{wild} measurements lie where 1 in 100 000 should: outliers? --gate leaves them out")
+    hint = outlier_hint(report.tracks, report.estimates, gated=report.rejected > 0)
+    if hint:
+        console.print(hint, style="yellow")
     lost = int(counts[STATUS_NAMES.index("diverged")])
     if lost:
         console.print(f"{lost} steps are marked diverged: do not use their estimates", style="yellow")

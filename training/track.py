@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,12 +17,14 @@ from jink.envs.recorded import read_tracks
 from jink.estimators.metrics import errors, summary
 from jink.estimators.sensor import Sensor
 from jink.estimators.tracks import Tracks
-from jink.training.console import check_writable, progress, say_when_compiling
+from jink.training.console import check_separate, check_writable, progress, say_when_compiling
+from jink.training.doubts import doubts_about
 from jink.training.options import parse_numbers, parse_pairs, parse_sigma
 from jink.training.running import Forecast, forecast_ends, gate_tracks, raw_positions, run_tracks
 from jink.training.tuning import sensor_of, tune
+from jink.training.wording import in_own_words
 
-__all__ = ["Choice", "Parameter", "TrackReport", "TrackRequest", "choose", "estimate", "read", "track"]
+__all__ = ["Choice", "Parameter", "TrackReport", "TrackRequest", "choose", "estimate", "interval_of", "read", "track"]
 
 _SOJOURN_S, _WARM_ROWS = 10.0, 60
 
@@ -88,6 +91,7 @@ class TrackReport(NamedTuple):
     forecasts: list[Forecast]
     seconds: float
     rejected: int
+    doubts: tuple[str, ...] = ()
 
 
 def track(request: TrackRequest) -> TrackReport:
@@ -111,10 +115,14 @@ def track(request: TrackRequest) -> TrackReport:
         )
     check_writable(request.out, "--out", (".parquet", ".csv"))
     check_writable(request.plot, "--plot", (".png", ".pdf", ".svg"))
+    inputs = {"the input file": request.file, "the file of --truth": request.truth}
+    check_separate(request.out, "--out", inputs)
+    check_separate(request.plot, "--plot", inputs)
     _check_numbers(request)
     tracks = read(request)
     if request.shown is not None and request.shown not in tracks.ids:
-        tracks.subset([request.shown])
+        names = ", ".join(tracks.ids[:10]) + (", ..." if len(tracks) > 10 else "")
+        raise ValueError(f"--show: value must name a track; got '{request.shown}'. There are {names}.")
     with say_when_compiling():
         report = estimate(request, tracks, choose(request, tracks))
     if request.out is not None:
@@ -137,6 +145,11 @@ def estimate(request: TrackRequest, tracks: Tracks, choice: Choice) -> TrackRepo
     Returns:
         what came out.
     """
+    with _named(request):
+        return _estimate(request, tracks, choice)
+
+
+def _estimate(request: TrackRequest, tracks: Tracks, choice: Choice) -> TrackReport:
     from jink.estimators.recipes import make_estimator
 
     estimator = make_estimator(request.estimator, choice.sensor, **choice.options)
@@ -170,6 +183,7 @@ def estimate(request: TrackRequest, tracks: Tracks, choice: Choice) -> TrackRepo
         forecasts=forecasts,
         seconds=seconds,
         rejected=rejected,
+        doubts=doubts_about(request, tracks, interval_of(tracks)),
     )
 
 
@@ -179,8 +193,22 @@ def _arrays(tracks: Tracks) -> dict[str, Any]:
     return {name: value for name in names if (value := getattr(tracks, name)) is not None}
 
 
+def _named(request: TrackRequest) -> AbstractContextManager[None]:
+    """Refusals speak of the request's own options and files."""
+    files = [file.name for file in (request.file, request.truth) if file is not None]
+    return in_own_words(request.file.name, [field.name for field in fields(request)], files)
+
+
 def _check_numbers(request: TrackRequest) -> None:
-    """Physical options are positive; a horizon may be zero."""
+    """Physical options are positive; a horizon may be zero; an option that says how to read needs what it reads."""
+    if request.axes not in (None, 2, 3):
+        raise ValueError(f"--axes: value must be 2 or 3; got {request.axes}. Use 2 for a plane.")
+    if request.height is not None and not math.isfinite(request.height):
+        raise ValueError(f"--height: value must be finite; got {request.height:g}. Use metres.")
+    if request.truth_columns and request.truth is None:
+        raise ValueError(
+            f"--truth-columns: value must come with --truth; got '{request.truth_columns}' alone. Add --truth FILE."
+        )
     for name in ("acceleration", "speed", "turn_rate", "sojourn", "forecast"):
         value = getattr(request, name)
         low = -math.ulp(0.0) if name == "forecast" else 0.0
@@ -193,13 +221,15 @@ def _check_numbers(request: TrackRequest) -> None:
 
 def read(request: TrackRequest) -> Tracks:
     """The tracks of the requested file."""
-    with progress(f"reading {request.file.name}"):
+    columns = _columns(request.columns, "columns")
+    truth_columns = _columns(request.truth_columns, "truth_columns")
+    with progress(f"reading {request.file.name}"), _named(request):
         return read_tracks(
             request.file,
-            parse_columns(request.columns) or None,
+            columns,
             axes=request.axes,
             truth=request.truth,
-            truth_columns=parse_columns(request.truth_columns) or None,
+            truth_columns=truth_columns,
             where=parse_pairs("--where", request.where) or None,
             sort=request.sort,
             drop_repeats=request.drop_repeats,
@@ -211,8 +241,20 @@ def read(request: TrackRequest) -> Tracks:
         )
 
 
+def _columns(text: str, name: str) -> dict[str, str] | None:
+    """A mapping of columns; refusals name its option."""
+    option = f"--{name.replace('_', '-')}"
+    with in_own_words(option):
+        return parse_columns(text) or None
+
+
 def choose(request: TrackRequest, tracks: Tracks) -> Choice:
     """Sensor and scales: given, from the file, estimated from it, or a default."""
+    with _named(request):
+        return _choose(request, tracks)
+
+
+def _choose(request: TrackRequest, tracks: Tracks) -> Choice:
     plain = sensor_of(tracks)
     sigma = None if request.sigma is None else parse_sigma(request.sigma, plain)
     with progress("choosing noise and acceleration from the file") as advance:
@@ -234,8 +276,7 @@ def choose(request: TrackRequest, tracks: Tracks) -> Choice:
     for name, unit in (("turn_rate", "rad/s"), ("sojourn", "s")):
         value, source = getattr(request, name), "given"
         if value is None and name == "sojourn":
-            # Shorter than some ten samples, an intent could not be told from noise.
-            value, source = max(_SOJOURN_S, 10.0 * _interval(tracks)), "default"
+            value, source = _default_sojourn(tracks)
         elif value is None:
             value, source = min(tuning.acceleration / tuning.speed, 1.0), "default"
         found.append(Parameter(name, value, unit, source))
@@ -243,7 +284,17 @@ def choose(request: TrackRequest, tracks: Tracks) -> Choice:
     return Choice(sensor_of(tracks, tuning.sigma), options, tuple(found), use_noise)
 
 
-def _interval(tracks: Tracks) -> float:
+def _default_sojourn(tracks: Tracks) -> tuple[float, str]:
+    """Mean time between changes of mode, s, and what it was taken from."""
+    interval = interval_of(tracks)
+    # Shorter than some ten samples, an intent could not be told from noise; longer than a quarter, never seen to end.
+    value, source = (_SOJOURN_S, "default") if 10.0 * interval <= _SOJOURN_S else (10.0 * interval, "interval")
+    longest = max((float(track.times[-1] - track.times[0]) for track in tracks if len(track.times)), default=0.0)
+    limit = max(longest / 4.0, interval)
+    return (value, source) if not 0.0 < limit < value else (limit, "length")
+
+
+def interval_of(tracks: Tracks) -> float:
     """Median time between rows that differ in time; s; 0 without any."""
     gaps = np.diff(tracks.times, axis=1)[tracks.used[:, 1:]]
     gaps = gaps[gaps > 0]
