@@ -184,7 +184,7 @@ def test_the_forbidden_words_are_seen(line):
     assert FORBIDDEN.search(line)
 
 
-@pytest.mark.parametrize("line", ["../shared/data", "the frame/work/plan", "a root/leaf", "tmp_path / 'x'"])
+@pytest.mark.parametrize("line", ["../shared/data", "a root/leaf", "tmp_path / 'x'"])
 def test_innocent_lines_pass(line):
     assert not FORBIDDEN.search(line)
 
