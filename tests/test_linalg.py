@@ -6,7 +6,7 @@ from random_problems import spd
 from scipy import stats
 
 from jink.estimators import linalg
-from jink.estimators.kalman import gaussian_update, predict_linear
+from jink.estimators.kalman import gaussian_update, posterior_from_deviations, predict_linear
 from jink.estimators.unscented import draw_points, point_weights, points_covariance, points_mean
 
 SIZES = [1, 2, 5, 7, 8, 9, 13]
@@ -52,12 +52,12 @@ def test_products_equal_numpy(n):
     P, Q, F = spd(rng, n), spd(rng, n), rng.normal(size=(n, n))
     out, product, mean = np.zeros_like(pad(P)), np.zeros_like(pad(P)), np.zeros(pad(P).shape[1])
     m = rng.normal(size=n)
-    predict_linear(pad(m), pad(P), pad(F), pad(F.T), pad(Q), n, product, mean, out)
+    predict_linear(pad(m), pad(P), pad(F.T), pad(Q), n, product, mean, out)
     np.testing.assert_allclose(out[:, :n], F @ P @ F.T + Q, atol=1e-12)
     np.testing.assert_allclose(mean[:n], F @ m, atol=1e-13)
     left, right = rng.normal(size=(4, n)), rng.normal(size=(4, n))
-    linalg.outer_add(out, pad(left), pad(right), 4, -0.5, n)
-    np.testing.assert_allclose(out[:, :n], F @ P @ F.T + Q - 0.5 * left.T @ right, atol=1e-12)
+    linalg.outer_add(out, pad(left), pad(right), 1, 4, -0.5, n)
+    np.testing.assert_allclose(out[:, :n], F @ P @ F.T + Q - 0.5 * left[1:].T @ right[1:], atol=1e-12)
     linalg.mirror(out, n)
     np.testing.assert_array_equal(out[:, :n], np.triu(out[:, :n]) + np.triu(out[:, :n], 1).T)
     stack = np.array([P, np.full((n, n), np.nan), Q])
@@ -95,7 +95,7 @@ def test_points_keep_the_moments_they_were_drawn_from(n):
     draw_points(pad(m), upper, n, radius, points)
     mean, cov = np.zeros(pad(m).size), np.zeros_like(pad(P))
     points_mean(points, 2 * n + 1, n, other, mean)
-    points_covariance(points, np.zeros_like(points), 2 * n + 1, n, centre, other, cov)
+    points_covariance(points, 2 * n + 1, n, centre, other, cov)
     np.testing.assert_allclose(mean[:n], m, atol=1e-13)
     np.testing.assert_allclose(cov[:, :n], P, atol=1e-12)
 
@@ -108,20 +108,25 @@ def test_a_square_has_the_analytic_moments():
     points **= 2
     mean, cov = np.zeros(8), np.zeros((1, 8))
     points_mean(points, 3, 1, other, mean)
-    points_covariance(points, np.zeros((3, 8)), 3, 1, centre, other, cov)
+    points_covariance(points, 3, 1, centre, other, cov)
     assert mean[0] == pytest.approx(m**2 + P, rel=1e-13)
     assert cov[0, 0] == pytest.approx(4 * m**2 * P + beta * P**2, rel=1e-12)
 
 
-def gaussian(m, P, H, R, z, linear=True):
-    """`gaussian_update` with ordinary arrays: posterior, log density, squared innovation, good."""
+def gaussian(m, P, H, R, z):
+    """`gaussian_update` with ordinary arrays, and the sum of squares where it says that digits were lost."""
     d, n = H.shape
     cross, S = pad(H @ P), pad(H @ P @ H.T + R)
+    factor, gain = np.zeros((d, S.shape[1])), np.zeros_like(cross)
     m_out, P_out = np.zeros(n), np.zeros_like(pad(P))
-    log_density, nis, good = gaussian_update(
-        m, pad(P), pad(H), linear, pad(R), cross, S, z - H @ m, d, n,
-        np.zeros((d, S.shape[1])), np.zeros_like(cross), np.zeros((d, 8)), m_out, P_out,
-    )  # fmt: skip
+    log_density, nis, good, lost = gaussian_update(
+        m, pad(P), pad(R), cross, S, z - H @ m, d, n, factor, gain, np.zeros((d, 8)), m_out, P_out
+    )
+    if lost:
+        root = np.zeros_like(pad(P))
+        linalg.cholesky(pad(P), n, root)
+        seen = pad(root[:, :n] @ H.T)
+        posterior_from_deviations(root, seen, n, 1.0, 1.0, pad(R), cross, factor, d, n, gain, P_out)
     return m_out, P_out[:, :n], log_density, nis, good
 
 
@@ -138,6 +143,19 @@ def test_update_equals_the_textbook(n, d):
     np.testing.assert_array_equal(cov, cov.T)
     assert log_density == pytest.approx(stats.multivariate_normal(H @ m, S).logpdf(z), rel=1e-11)
     assert nis == pytest.approx((z - H @ m) @ np.linalg.solve(S, z - H @ m), rel=1e-11)
+
+
+def test_both_forms_of_the_posterior_agree_where_nothing_cancels():
+    rng = np.random.default_rng(0)
+    n, d = 7, 2
+    P, R, H = spd(rng, n), spd(rng, d), rng.normal(size=(d, n))
+    root, factor, out = np.zeros_like(pad(P)), np.zeros((d, 8)), np.zeros_like(pad(P))
+    linalg.cholesky(pad(P), n, root)
+    linalg.cholesky(pad(H @ P @ H.T + R), d, factor)
+    seen = pad(root[:, :n] @ H.T)
+    posterior_from_deviations(root, seen, n, 1.0, 1.0, pad(R), pad(H @ P), factor, d, n, np.zeros((d, 8)), out)
+    _, cov, *_ = gaussian(np.zeros(n), P, H, R, np.zeros(d))
+    np.testing.assert_allclose(out[:, :n], cov, atol=1e-11)
 
 
 def test_scalar_steady_state_is_the_golden_ratio():
