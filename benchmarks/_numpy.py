@@ -1,6 +1,6 @@
 """The textbook in plain NumPy: it defines the right estimates and is itself one row of the table.
 
-Leading axes are tracks; the algebra is EQUATIONS of Blom and Bar-Shalom (1988) for the bank and of
+Leading axes are tracks; the algebra is that of Blom and Bar-Shalom (1988) for the bank and of
 Wan and van der Merwe (2000) for the filter (alpha 1, beta 2, kappa 0, points redrawn after adding Q).
 """
 
