@@ -6,40 +6,28 @@ import os
 import threading
 import zlib
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jink.estimators.bank import Bank
-from jink.estimators.cycle import (
-    ABSURD,
-    LOCATED,
-    PRIOR,
-    History,
-    Inputs,
-    Outputs,
-    State,
-    advance,
-    begin_tracks,
-    make_outputs,
-    make_state,
-)
+from jink.estimators.batches import fill_outside, in_parallel, part_of_inputs, part_of_prior
+from jink.estimators.beginning import locate, take_prior
+from jink.estimators.cycle import advance, advance_one, begin_tracks
 from jink.estimators.forecasting import forecast_states
-from jink.estimators.inputs import Prior, check_inputs, check_moments
+from jink.estimators.inputs import Prior, check_inputs
 from jink.estimators.program import Program, make_work
+from jink.estimators.records import LOCATED, PRIOR, History, Inputs, Outputs, State, make_outputs, make_state
 from jink.estimators.reference import Pinned, pin
 from jink.estimators.smoothers import make_smoother, smooth_tracks
-from jink.estimators.starting import StartBatch, start_batch
-from jink.estimators.status import MISSING, STARTING
+from jink.estimators.starting import StartBatch
+from jink.estimators.streaming import Desk, make_desk
 
 __all__ = ["BankEstimator", "Estimates"]
 
 Floats = NDArray[np.float64]
-_PARALLEL_ROWS = 4000
 _SMOOTHER_BYTES = 2e8
 
 
@@ -110,6 +98,13 @@ class BankEstimator:
             )
         return scratch.work.handle
 
+    def _desk(self) -> Desk:
+        """This thread's arrays for streaming."""
+        scratch = self._scratch
+        if not hasattr(scratch, "desk"):
+            scratch.desk = make_desk(self.bank.sensor.size, 2 * self.bank.sensor.axes, len(self.modes))
+        return scratch.desk
+
     def _smoother(self) -> Any:
         scratch = self._scratch
         if not hasattr(scratch, "smoother"):
@@ -177,11 +172,12 @@ class BankEstimator:
         chunk = max(1, int(_SMOOTHER_BYTES / (8.0 * max(rows, 1) * len(self.modes) * states * (states + 1))))
         parts = []
         for begin in range(0, max(tracks, 1), chunk):
-            part = _tracks(inputs, begin, min(begin + chunk, tracks))
+            part = part_of_inputs(inputs, begin, min(begin + chunk, tracks))
             _, outputs, history = self._filter(
-                part, _prior_part(prior, begin, begin + part.measurements.shape[0]), True, progress
+                part, part_of_prior(prior, begin, begin + part.measurements.shape[0]), True, progress
             )
-            self._parallel(
+            in_parallel(
+                self.threads,
                 lambda low, high, part=part, outputs=outputs, history=history: smooth_tracks(  # type: ignore[misc]
                     self._handle.handle, self._work(), self._smoother(), history, outputs, part, low, high
                 ),
@@ -189,7 +185,7 @@ class BankEstimator:
                 rows,
                 None,
             )
-            _fill_outside(part, outputs, history, self.bank.start_probs)
+            fill_outside(part, outputs, history, self.bank.start_probs)
             parts.append(self._estimates(part, outputs))
         return Estimates(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
@@ -246,15 +242,19 @@ class BankEstimator:
             ValueError: a shape does not fit.
         """
         self._check_state(state, "step")
-        z = np.array(measurement, dtype=np.float64)
-        size, kin = self.bank.sensor.size, 2 * self.bank.sensor.axes
-        R = self._noise if noise is None else np.array(noise, dtype=np.float64)
-        sensor = self._still if sensor_state is None else np.array(sensor_state, dtype=np.float64)
-        if z.shape != (size,) or R.shape != (size, size) or sensor.shape != (kin,):
+        desk = self._desk()
+        z = np.asarray(measurement, dtype=np.float64)
+        R = self._noise if noise is None else np.asarray(noise, dtype=np.float64)
+        sensor = self._still if sensor_state is None else np.asarray(sensor_state, dtype=np.float64)
+        if z.shape != desk.measurement.shape or R.shape != desk.noise.shape or sensor.shape != desk.sensor.shape:
             raise ValueError(
-                f"step: measurement must have shape ({size},), noise ({size}, {size}), sensor_state ({kin},); got "
-                f"{z.shape}, {R.shape}, {sensor.shape}. One row at a time."
+                f"step: measurement must have shape {desk.measurement.shape}, noise {desk.noise.shape}, sensor_state "
+                f"{desk.sensor.shape}; got {z.shape}, {R.shape}, {sensor.shape}. One row at a time."
             )
+        desk.time[0] = time
+        desk.measurement[:] = z
+        desk.noise[:] = R
+        desk.sensor[:] = sensor
         following = State(
             state.mean.copy(),
             state.cov.copy(),
@@ -266,29 +266,20 @@ class BankEstimator:
             state.phase.copy(),
             state.layout,
         )
-        outputs = make_outputs(1, 1, kin, len(self.bank.modes))
-        inputs = Inputs(
-            np.array([[time]], dtype=np.float64),
-            z.reshape(1, 1, size),
-            R.reshape(1, 1, size, size),
-            sensor.reshape(1, 1, kin),
-            self._no_chains,
-            _ZERO,
-            _ONE,
-        )
-        advance(self._handle.handle, self._work(), following, inputs, outputs, self._no_history, 0, 1)
-        axes = kin // 2
-        mean = outputs.kin_mean[0, 0]
+        advance_one(self._handle.handle, self._work(), desk.inputs.handle, desk.outputs.handle, following)
+        _, _, _, log_likelihood, nis, nis_dof, status = desk.outputs.record
+        axes = self.bank.sensor.axes
+        mean = following.kin_mean[0].copy()
         return following, Estimates(
             following.time[0],
             mean[:axes],
             mean[axes:],
-            outputs.kin_cov[0, 0],
-            outputs.mode_probs[0, 0],
-            outputs.log_likelihood[0, 0],
-            outputs.nis[0, 0],
-            outputs.nis_dof[0, 0],
-            outputs.status[0, 0],
+            following.kin_cov[0].copy(),
+            following.mode_probs[0].copy(),
+            log_likelihood[0, 0],
+            nis[0, 0],
+            nis_dof[0, 0],
+            status[0, 0],
         )
 
     def forecast(self, state: State, horizon: float, *, weights: str = "W1", steps: int = 1) -> tuple[Floats, Floats]:
@@ -368,14 +359,6 @@ class BankEstimator:
     def _still(self) -> Floats:
         return np.zeros(2 * self.bank.sensor.axes)
 
-    @cached_property
-    def _no_chains(self) -> Floats:
-        return np.zeros((0, 0, len(self.modes), len(self.modes)))
-
-    @cached_property
-    def _no_history(self) -> History:
-        return self._history(1, 0)
-
     def _history(self, tracks: int, rows: int) -> History:
         modes, states = len(self.modes), self._program.angular.shape[1]
         return History(np.zeros((tracks, rows, modes, states)), np.zeros((tracks, rows, modes, states, states)))
@@ -393,7 +376,7 @@ class BankEstimator:
         state = self._blank(tracks)
         started: StartBatch | None = None
         if prior is None:
-            started = self._locate(inputs)
+            started = locate(self.bank, inputs)
             if must_start and not started.ok.all():
                 raise ValueError(
                     f"start: measurements must locate the target; {rows} row(s) of {self.bank.sensor.name} do not. "
@@ -414,16 +397,17 @@ class BankEstimator:
                 state,
             )
         else:
-            self._take_prior(prior, state, inputs)
+            take_prior(self.bank, prior, self._handle.handle, self._work(), state, inputs.times)
         outputs = make_outputs(tracks, rows, kin, modes)
         history = self._history(tracks, rows if keep else 0)
-        self._parallel(
+        in_parallel(
+            self.threads,
             lambda low, high: advance(self._handle.handle, self._work(), state, inputs, outputs, history, low, high),
             tracks,
             rows,
             progress,
         )
-        _fill_outside(inputs, outputs, history, self.bank.start_probs)
+        fill_outside(inputs, outputs, history, self.bank.start_probs)
         return state, outputs, history
 
     def _blank(self, tracks: int) -> State:
@@ -448,107 +432,6 @@ class BankEstimator:
                 "Call start again."
             )
 
-    def _locate(self, inputs: Inputs) -> StartBatch:
-        tracks, rows = inputs.measurements.shape[:2]
-        usable = (np.arange(rows) < inputs.lengths[:, None])[..., None] & (np.abs(inputs.measurements) < ABSURD)
-        sensors = None if not inputs.sensors.any() else inputs.sensors
-        if sensors is not None and not self._program.sensor_linear:
-            placed = (np.abs(sensors) < ABSURD).all(axis=2, keepdims=True)
-            usable, sensors = usable & placed, np.where(placed, sensors, 0.0)
-        z = np.where(usable, inputs.measurements, np.nan)
-        return start_batch(
-            self.bank.sensor,
-            z,
-            np.broadcast_to(inputs.times, (tracks, rows)),
-            inputs.noise,
-            sensors if sensors is None else np.broadcast_to(sensors, (tracks, rows, sensors.shape[2])),
-            self.bank.speed,
-            self.bank.area,
-        )
-
-    def _take_prior(self, prior: Prior, state: State, inputs: Inputs) -> None:
-        kin = state.kin_mean.shape[1]
-        tracks = len(state.time)
-        per_mode = isinstance(prior.mean, list) and len(prior.mean) == len(self.modes) and np.ndim(prior.mean[0]) == 1
-        if isinstance(prior.mean, list) and per_mode:
-            if not isinstance(prior.cov, list) or len(prior.cov) != len(self.modes):
-                raise ValueError(
-                    f"Prior: cov must be a list with one matrix per mode, as mean is; got {type(prior.cov).__name__}. "
-                    "Give both alike."
-                )
-            for j, mode in enumerate(self.bank.modes):
-                n = mode.motion.size
-                mean, cov = np.asarray(prior.mean[j], dtype=np.float64), np.asarray(prior.cov[j], dtype=np.float64)
-                if mean.shape != (n,) or cov.shape != (n, n):
-                    raise ValueError(
-                        f"Prior: mode {mode.name} must have mean ({n},) and cov ({n}, {n}); got {mean.shape} and "
-                        f"{cov.shape}. Components are {', '.join(mode.motion.labels)}."
-                    )
-                check_moments(mean, cov)
-                state.mean[:, j, :n] = mean
-                state.cov[:, j, :n, :n] = cov
-        else:
-            mean = np.asarray(prior.mean, dtype=np.float64)
-            cov = np.asarray(prior.cov, dtype=np.float64)
-            if mean.shape not in ((kin,), (tracks, kin)) or cov.shape not in ((kin, kin), (tracks, kin, kin)):
-                raise ValueError(
-                    f"Prior: mean must be position and velocity ({kin},) with cov ({kin}, {kin}), or one of each per "
-                    f"mode; got {mean.shape} and {cov.shape}. Add zero velocities with a large variance."
-                )
-            check_moments(mean, cov)
-            begin_tracks(
-                self._handle.handle,
-                self._work(),
-                np.ascontiguousarray(np.broadcast_to(mean, (tracks, kin))),
-                np.ascontiguousarray(np.broadcast_to(cov, (tracks, kin, kin))),
-                state,
-            )
-        if prior.mode_probs is not None:
-            probs = np.asarray(prior.mode_probs, dtype=np.float64)
-            if probs.shape != (len(self.modes),) or not np.all(probs >= 0) or abs(probs.sum() - 1.0) > 1e-9:
-                raise ValueError(
-                    f"Prior: mode_probs must be {len(self.modes)} probabilities that sum to 1; got {prior.mode_probs}. "
-                    "Divide by the sum."
-                )
-            state.mode_probs[:] = probs
-        if per_mode:
-            forecast_states(self._handle.handle, self._work(), state, 0.0, 0, False, state.kin_mean, state.kin_cov)
-        begin = inputs.times[:, :1].min(axis=1, initial=np.inf)
-        if prior.time is not None and not (np.isfinite(prior.time) and np.all(prior.time <= begin)):
-            raise ValueError(
-                f"Prior: time must be finite and not after the first row; got {prior.time}. Drop the rows before it."
-            )
-        state.time[:] = np.where(np.isfinite(begin), begin, 0.0) if prior.time is None else prior.time
-        state.phase[:] = LOCATED if prior.includes_first else PRIOR
-
-    def _parallel(
-        self,
-        work: Callable[[int, int], object],
-        tracks: int,
-        rows: int,
-        progress: Callable[[int], None] | None,
-    ) -> None:
-        """``work(begin, end)`` over chunks of tracks; kernels release the GIL, so threads are enough."""
-        threads = min(self.threads, tracks)
-        if tracks == 0:
-            return
-        pieces = threads if progress is None else max(threads, min(tracks, 50))
-        bounds = np.linspace(0, tracks, pieces + 1).astype(int)
-        ranges = [(int(low), int(high)) for low, high in pairwise(bounds) if high > low]
-        if threads <= 1 or tracks * rows < _PARALLEL_ROWS:
-            for low, high in ranges:
-                work(low, high)
-                if progress is not None:
-                    progress((high - low) * rows)
-            return
-        work(*ranges[0])  # compiled once, before the threads meet
-        if progress is not None:
-            progress((ranges[0][1] - ranges[0][0]) * rows)
-        with ThreadPoolExecutor(threads) as pool:
-            for (low, high), _ in zip(ranges[1:], pool.map(lambda span: work(*span), ranges[1:]), strict=True):
-                if progress is not None:
-                    progress((high - low) * rows)
-
     def _estimates(self, inputs: Inputs, outputs: Outputs) -> Estimates:
         axes = self.bank.sensor.axes
         return Estimates(
@@ -562,60 +445,3 @@ class BankEstimator:
             outputs.nis_dof,
             outputs.status,
         )
-
-
-_ZERO, _ONE = np.zeros(1, dtype=np.int64), np.ones(1, dtype=np.int64)
-
-
-def _tracks(inputs: Inputs, begin: int, end: int) -> Inputs:
-    def cut(array: NDArray[np.float64]) -> NDArray[np.float64]:
-        return array if array.shape[0] <= 1 else np.ascontiguousarray(array[begin:end])
-
-    return Inputs(
-        cut(inputs.times),
-        np.ascontiguousarray(inputs.measurements[begin:end]),
-        cut(inputs.noise),
-        cut(inputs.sensors),
-        cut(inputs.chains),
-        inputs.first[begin:end].copy(),
-        inputs.lengths[begin:end].copy(),
-    )
-
-
-def _prior_part(prior: Prior | None, begin: int, end: int) -> Prior | None:
-    """The prior of tracks ``begin`` to ``end``: kinematic priors may differ by track."""
-    if prior is None or isinstance(prior.mean, list) or np.ndim(prior.mean) < 2:
-        return prior
-    cov = np.asarray(prior.cov)
-    return prior._replace(mean=np.asarray(prior.mean)[begin:end], cov=cov[begin:end] if cov.ndim == 3 else cov)
-
-
-def _fill_outside(inputs: Inputs, outputs: Outputs, history: History, probs: Floats) -> None:
-    """Rows before the start hold the start carried back at its velocity; padding repeats the last row."""
-    rows = outputs.status.shape[1]
-    if rows == 0 or (not inputs.first.any() and (inputs.lengths == rows).all()):
-        return
-    half = outputs.kin_mean.shape[2] // 2
-    for b in range(len(inputs.first)):
-        first, length = int(inputs.first[b]), int(inputs.lengths[b])
-        times = inputs.times[min(b, inputs.times.shape[0] - 1)]
-        if first >= length:
-            outputs.status[b] = MISSING
-            outputs.mode_probs[b] = probs
-            continue
-        if first > 0:
-            back = np.eye(2 * half)
-            for t in range(first):
-                back[range(half), range(half, 2 * half)] = times[t] - times[first]
-                outputs.kin_mean[b, t] = back @ outputs.kin_mean[b, first]
-                outputs.kin_cov[b, t] = back @ outputs.kin_cov[b, first] @ back.T
-            outputs.mode_probs[b, :first] = outputs.mode_probs[b, first]
-            outputs.status[b, :first] = STARTING
-            if history.mean.shape[1]:
-                history.mean[b, :first] = history.mean[b, first]
-                history.cov[b, :first] = history.cov[b, first]
-        if length < rows:
-            for array in (outputs.kin_mean, outputs.kin_cov, outputs.mode_probs, *history):
-                if array.shape[1]:
-                    array[b, length:] = array[b, length - 1]
-            outputs.status[b, length:] = MISSING

@@ -34,6 +34,7 @@ __all__ = [
     "TRANSITION",
     "Callback",
     "entry_kernel",
+    "forget_stale_machine_code",
     "inner_kernel",
     "kernel",
 ]
@@ -174,17 +175,21 @@ call_own = _caller(OWN)
 call_observe = _caller(OBSERVE)
 
 
-def _forget_stale_machine_code() -> None:
-    """Remove this package's cached machine code when any of its sources changed.
+def forget_stale_machine_code(folder: Path, *used: Path) -> None:
+    """Remove a package's cached machine code when its sources, or those of packages whose kernels it calls, changed.
 
     Numba compares only the file of the outermost function, so a kernel that calls a changed helper of another
     file would keep running the old one.
+
+    Args:
+        folder: the package; its ``__pycache__`` folders hold the machine code.
+        used: further packages whose kernels it calls.
     """
-    folder = Path(__file__).parent
     digest = hashlib.sha256(numba.__version__.encode())
-    for source in sorted(folder.rglob("*.py")):
-        stat = source.stat()
-        digest.update(f"{source.relative_to(folder)}:{stat.st_mtime_ns}:{stat.st_size};".encode())
+    for package in (folder, *used):
+        for source in sorted(package.rglob("*.py")):
+            stat = source.stat()
+            digest.update(f"{source.relative_to(package)}:{stat.st_mtime_ns}:{stat.st_size};".encode())
     stamp = folder / "__pycache__" / "jink-kernels.stamp"
     try:
         if stamp.exists() and stamp.read_text() == digest.hexdigest():
@@ -200,4 +205,4 @@ def _forget_stale_machine_code() -> None:
         _LOG.debug("kernel cache not checked: %s", error)
 
 
-_forget_stale_machine_code()
+forget_stale_machine_code(Path(__file__).parent)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from jink.estimators.compiled import entry_kernel
-from jink.estimators.cycle import fuse
-from jink.estimators.linalg import copy_matrix, copy_vector
+from jink.estimators.fusion import fuse
+from jink.estimators.linalg import copy_matrix, copy_rows, copy_vector
 from jink.estimators.markov import transition_matrix
 from jink.estimators.modes import predict_mode
 from jink.estimators.program import program_at, work_at
@@ -27,7 +29,7 @@ def forecast_states(program_handle, work_handle, state, dt, steps, marginal, kin
         copy_vector(state.mode_probs[b], probs)
         for j in range(modes):
             copy_vector(state.mean[b, j], work.mixed_mean[j])
-            copy_matrix(state.cov[b, j], work.mixed_cov[j], program.sizes[j])
+            copy_rows(state.cov[b, j], work.mixed_cov[j], program.sizes[j])
         for _ in range(steps):
             for j in range(modes):
                 predict_mode(
@@ -35,8 +37,9 @@ def forecast_states(program_handle, work_handle, state, dt, steps, marginal, kin
                     work.predicted_mean[j], work.predicted_cov[j],
                 )  # fmt: skip
                 copy_vector(work.predicted_mean[j], work.mixed_mean[j])
-                copy_matrix(work.predicted_cov[j], work.mixed_cov[j], program.sizes[j])
+                copy_rows(work.predicted_cov[j], work.mixed_cov[j], program.sizes[j])
             if marginal:
+                work.cached_dt[modes] = np.nan
                 if program.per_step:
                     copy_matrix(program.chain, work.chain, modes)
                 else:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jink.estimators.bank import Bank
-from jink.estimators.cycle import ABSURD, Inputs
 from jink.estimators.markov import check_transition_matrix
+from jink.estimators.records import ABSURD, Inputs
 
 __all__ = ["Prior", "check_inputs", "check_moments"]
 

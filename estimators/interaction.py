@@ -9,7 +9,7 @@ from __future__ import annotations
 from numba import types
 
 from jink.estimators.compiled import call_assemble, call_own, call_transition, inner_kernel
-from jink.estimators.linalg import average, cholesky, copy_matrix, outer_add, wrap_angle
+from jink.estimators.linalg import average, cholesky, clear_rows, clear_tails, copy_rows, outer_add, wrap_angle
 from jink.estimators.modes import kinematics_of
 from jink.estimators.pieces import MATRIX, PROGRAM, STACK, VECTOR, WORK, piece
 from jink.estimators.program import BIRTH, NONE, RESET
@@ -110,6 +110,7 @@ def convert(program, work, p, q, m, P, own_mean, own_cov, near, m_out, P_out):
     n = program.sizes[q]
     size = program.sizes[p]
     count, good = joint_points(program, work, p, q, m, P, own_mean, own_cov)
+    clear_tails(work.moved, count, size)
     for s in range(count):
         for k in range(program.drawn[p, q]):
             work.own[k] = work.points[s, n + k]
@@ -121,9 +122,7 @@ def convert(program, work, p, q, m, P, own_mean, own_cov, near, m_out, P_out):
     joint = n + program.drawn[p, q]
     _, centre, other = point_weights(joint, program.tuning[0], program.tuning[1], program.tuning[2])
     points_mean(work.moved, count, size, other, m_out)
-    for i in range(size):
-        for k in range(P_out.shape[1]):
-            P_out[i, k] = 0.0
+    clear_rows(P_out, size)
     points_covariance(work.moved, count, size, centre, other, P_out)
     return good
 
@@ -191,6 +190,7 @@ def birth(program, work, p, kin_mean, kin_cov, m_out, P_out):
     radius, centre, other = point_weights(joint, program.tuning[0], program.tuning[1], program.tuning[2])
     points = work.points
     draw_points(mean, work.upper, joint, radius, points)
+    clear_tails(work.moved, 2 * joint + 1, size)
     for s in range(2 * joint + 1):
         assemble(program, p, points[s, :kin], points[s, kin:joint], work.moved[s])
         for i in range(size):
@@ -250,7 +250,7 @@ def interact(program, work, mean, cov, probs):
         if separate:
             for i in range(n):
                 work.mixed_mean[p, i] = mean[p, i]
-            copy_matrix(cov[p], work.mixed_cov[p], n)
+            copy_rows(cov[p], work.mixed_cov[p], n)
             continue
         if program.same_layout:
             _moment_match(program, work, p, mean, cov, n, work.mixed_mean[p], work.mixed_cov[p])

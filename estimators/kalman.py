@@ -9,7 +9,16 @@ from __future__ import annotations
 import numpy as np
 
 from jink.estimators.compiled import kernel
-from jink.estimators.linalg import cholesky, congruence, copy_matrix, mirror, outer_add, solve_lower, solve_upper
+from jink.estimators.linalg import (
+    cholesky,
+    clear_rows,
+    congruence,
+    copy_rows,
+    mirror,
+    outer_add,
+    solve_lower,
+    solve_upper,
+)
 
 __all__ = ["gaussian_update", "posterior_from_deviations", "predict_linear"]
 
@@ -52,7 +61,7 @@ def gaussian_update(m, P, R, cross, S, v, d, n, factor, gain, whitened, m_out, P
     """
     for i in range(n):
         m_out[i] = m[i]
-    copy_matrix(P, P_out, n)
+    copy_rows(P, P_out, n)
     good = cholesky(S, d, factor)
     determinant, log_determinant = 1.0, 0.0
     for i in range(d):
@@ -70,7 +79,7 @@ def gaussian_update(m, P, R, cross, S, v, d, n, factor, gain, whitened, m_out, P
             total -= factor[k, i] * whitened[k, 0]
         whitened[i, 0] = total / factor[i, i]
         nis += whitened[i, 0] * whitened[i, 0]
-    copy_matrix(cross, gain, d)
+    copy_rows(cross, gain, d)
     solve_lower(factor, d, gain, n)
     for j in range(n):
         total = 0.0
@@ -101,7 +110,7 @@ def posterior_from_deviations(points, seen, count, centre, other, R, cross, fact
         d, n, gain: sizes, scratch (d, n).
         P_out: posterior covariance; (n, n).
     """
-    copy_matrix(cross, gain, d)
+    copy_rows(cross, gain, d)
     solve_lower(factor, d, gain, n)
     solve_upper(factor, d, gain, n)
     for s in range(count):
@@ -114,9 +123,7 @@ def posterior_from_deviations(points, seen, count, centre, other, R, cross, fact
             cross[a, c] = 0.0
             for k in range(a, d):
                 cross[a, c] += factor[a, k] * gain[k, c]
-    for i in range(n):
-        for k in range(P_out.shape[1]):
-            P_out[i, k] = 0.0
+    clear_rows(P_out, n)
     outer_add(P_out, cross, cross, 0, d, 1.0, n)
     outer_add(P_out, points, points, 0, 1, centre, n)
     outer_add(P_out, points, points, 1, count, other, n)

@@ -16,8 +16,11 @@ __all__ = [
     "average",
     "centre_rows",
     "cholesky",
+    "clear_rows",
+    "clear_tails",
     "congruence",
     "copy_matrix",
+    "copy_rows",
     "copy_vector",
     "mirror",
     "multiply",
@@ -65,6 +68,65 @@ def copy_matrix(source, target, rows):
     for i in range(rows):
         for j in range(target.shape[1]):
             target[i, j] = source[i, j]
+
+
+@kernel
+def _copy_columns(source, target, rows, j):
+    for i in range(rows):
+        t0, t1, t2, t3 = source[i, j], source[i, j + 1], source[i, j + 2], source[i, j + 3]
+        t4, t5, t6, t7 = source[i, j + 4], source[i, j + 5], source[i, j + 6], source[i, j + 7]
+        target[i, j] = t0
+        target[i, j + 1] = t1
+        target[i, j + 2] = t2
+        target[i, j + 3] = t3
+        target[i, j + 4] = t4
+        target[i, j + 5] = t5
+        target[i, j + 6] = t6
+        target[i, j + 7] = t7
+
+
+@kernel
+def copy_rows(source, target, rows):
+    """As `copy_matrix`, for row lengths that are a multiple of eight."""
+    _copy_columns(source, target, rows, 0)
+    for j in range(_STEP, np.uint64(target.shape[1]), _STEP):
+        _copy_columns(source, target, rows, j)
+
+
+@kernel
+def _clear_columns(matrix, i, j):
+    matrix[i, j] = 0.0
+    matrix[i, j + 1] = 0.0
+    matrix[i, j + 2] = 0.0
+    matrix[i, j + 3] = 0.0
+    matrix[i, j + 4] = 0.0
+    matrix[i, j + 5] = 0.0
+    matrix[i, j + 6] = 0.0
+    matrix[i, j + 7] = 0.0
+
+
+@kernel
+def clear_rows(matrix, rows):
+    """Zero the first ``rows`` rows; their length is a multiple of eight."""
+    for i in range(rows):
+        _clear_columns(matrix, i, 0)
+        for j in range(_STEP, np.uint64(matrix.shape[1]), _STEP):
+            _clear_columns(matrix, i, j)
+
+
+@kernel
+def clear_tails(rows, count, n):
+    """Zero the eight columns that hold component ``n - 1`` and its padding, of ``count`` rows about to be written.
+
+    Whole vectors are worked on later: what a longer mode left in the padding must not survive.
+    """
+    if n <= LANES:
+        for s in range(count):
+            _clear_columns(rows, s, 0)
+    else:
+        last = (np.uint64(n) - np.uint64(1)) // _STEP * _STEP
+        for s in range(count):
+            _clear_columns(rows, s, last)
 
 
 @kernel
@@ -220,7 +282,7 @@ def mirror(matrix, n):
 def congruence(f_transposed, p, q, n, product, out):
     """``out = f p f' + q`` for symmetric ``p``, ``q``; ``product`` is scratch; ``out`` must not overlap ``p``."""
     multiply(p, f_transposed, n, n, product)
-    copy_matrix(q, out, n)
+    copy_rows(q, out, n)
     outer_add(out, f_transposed, product, 0, n, 1.0, n)
 
 

@@ -6,7 +6,16 @@ from numba import types
 
 from jink.estimators.compiled import call_kinematics, call_noise, call_observe, call_transition, inner_kernel
 from jink.estimators.kalman import gaussian_update, posterior_from_deviations, predict_linear
-from jink.estimators.linalg import cholesky, copy_matrix, offset_rows, wrap_angle
+from jink.estimators.linalg import (
+    cholesky,
+    clear_rows,
+    clear_tails,
+    copy_rows,
+    multiply,
+    offset_rows,
+    outer_add,
+    wrap_angle,
+)
 from jink.estimators.pieces import MATRIX, PROGRAM, VECTOR, WORK, piece
 from jink.estimators.unscented import draw_points, point_weights, points_mean, unscented_predict
 
@@ -35,9 +44,7 @@ def process_noise(program, work, j, x, dt, Q):
     for polynomial flows up to constant acceleration), columns of ``Phi`` by central differences.
     """
     n = program.sizes[j]
-    for i in range(n):
-        for k in range(Q.shape[1]):
-            Q[i, k] = 0.0
+    clear_rows(Q, n)
     if program.noise[j] != 0:
         call_noise(program.noise[j], x[:n], dt, program.params[j, : program.param_counts[j]], Q[:n, :n])
         return
@@ -62,8 +69,8 @@ def process_noise(program, work, j, x, dt, Q):
 
 
 @inner_kernel
-def transition_tables(program, work, j, x, dt):
-    """F' and Q of a linear mode for this ``dt``, computed only when ``dt`` changed."""
+def transition_tables(program, work, j, dt):
+    """F' and Q of a linear mode, computed only when ``dt`` changed (at the zero state: all are alike)."""
     if work.cached_dt[j] == dt:
         return
     n = program.sizes[j]
@@ -79,7 +86,7 @@ def transition_tables(program, work, j, x, dt):
         unit[c] = 1.0
         call_transition(address, unit[:n], dt, params, rows[c, :n])
         unit[c] = 0.0
-    process_noise(program, work, j, x, dt, work.Q[j])
+    process_noise(program, work, j, unit, dt, work.Q[j])
     work.cached_dt[j] = dt
 
 
@@ -92,7 +99,7 @@ def predict_mode(program, work, j, m, P, dt, m_out, P_out):
     """
     n = program.sizes[j]
     if program.linear[j]:
-        transition_tables(program, work, j, m, dt)
+        transition_tables(program, work, j, dt)
         predict_linear(m, P, work.F_transposed[j], work.Q[j], n, work.product, m_out, P_out)
         return True
     process_noise(program, work, j, m, dt, work.Q[j])
@@ -146,6 +153,7 @@ def measure_mode(program, work, j, m, P, sensor, z, d):
     radius, centre, other = point_weights(n, program.tuning[0], program.tuning[1], program.tuning[2])
     draw_points(m, upper, n, radius, points)
     count = 2 * n + 1
+    clear_tails(seen, count, d)
     for s in range(count):
         kinematics_of(program, j, points[s], kin)
         call_observe(observe, kin, sensor, params, sensed)
@@ -158,21 +166,12 @@ def measure_mode(program, work, j, m, P, sensor, z, d):
     for a in range(d):
         v = z[present[a]] - mean[a]
         innovation[a] = wrap_angle(v) if angular[present[a]] else v
-        for c in range(P.shape[1]):
-            cross[a, c] = 0.0
-        for b in range(d):
-            S[a, b] = R[a, b]
-    for s in range(count):
-        weight = centre if s == 0 else other
-        for a in range(d):
-            scaled = weight * seen[s, a]
-            for b in range(d):
-                S[a, b] += scaled * seen[s, b]
-    for s in range(n):  # from the root, not from points - m: next to a large m the points have lost its digits
-        for a in range(d):
-            scaled = other * radius * (seen[1 + s, a] - seen[1 + n + s, a])
-            for c in range(s, n):
-                cross[a, c] += scaled * upper[s, c]
+        for s in range(n):
+            work.gain[a, s] = other * radius * (seen[1 + s, a] - seen[1 + n + s, a])
+    copy_rows(R, S, d)
+    outer_add(S, seen, seen, 0, 1, centre, d)
+    outer_add(S, seen, seen, 1, count, other, d)
+    multiply(work.gain, upper, d, n, cross)  # the root, not points - m: next to a large m those have lost its digits
     return False, good
 
 
@@ -183,7 +182,7 @@ def careful_covariance(program, work, j, linear, P, d, P_out):
     if linear:
         radius, centre, other, count = 1.0, 1.0, 1.0, n
         cholesky(P, n, root)
-        copy_matrix(root, points, n)
+        copy_rows(root, points, n)
         for s in range(n):
             for a in range(d):
                 seen[s, a] = 0.0
@@ -207,7 +206,7 @@ _UPDATED = types.Tuple((types.float64, types.float64, types.boolean))
 def update_mode(program, work, j, m, P, sensor, z, d, m_out, P_out):
     """Posterior of mode ``j`` given the ``d`` components present; returns (log density, NIS, whether all went well)."""
     linear, good = measure_mode(program, work, j, m, P, sensor, z, d)
-    copy_matrix(work.S, work.S_modes[j], d)
+    copy_rows(work.S, work.S_modes[j], d)
     log_density, nis, definite, lost = gaussian_update(
         m, P, work.R, work.cross, work.S, work.innovation[j], d, program.sizes[j],
         work.factor, work.gain, work.whitened, m_out, P_out,
@@ -233,6 +232,7 @@ def mode_kinematics(program, work, j, m, P, mean_out, cov_out):
     radius, centre, other = point_weights(n, program.tuning[0], program.tuning[1], program.tuning[2])
     draw_points(m, work.upper, n, radius, work.points)
     count = 2 * n + 1
+    clear_tails(work.moved, count, kin)
     for s in range(count):
         kinematics_of(program, j, work.points[s], work.kin)
         for a in range(kin):

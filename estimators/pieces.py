@@ -7,7 +7,13 @@ unit; its address travels in the ``pieces`` table of the program, and a call cos
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import logging
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,15 +27,17 @@ from numpy.typing import NDArray
 from jink.estimators.compiled import COMPILE_OPTIONS
 from jink.estimators.reference import reference_type
 
-__all__ = ["MATRIX", "PROGRAM", "STACK", "VECTOR", "WORK", "piece", "piece_addresses"]
+__all__ = ["MATRIX", "PROGRAM", "STACK", "VECTOR", "WORK", "compile_pieces", "piece", "piece_addresses"]
 
 VECTOR = types.Array(types.float64, 1, "C")
 MATRIX = types.Array(types.float64, 2, "C")
 STACK = types.Array(types.float64, 3, "C")
 PROGRAM, WORK = "program", "work"
 _registered: list[tuple[Callable[..., Any], Any, tuple[Any, ...]]] = []
+_LONGEST = ("predict_mode", "step")  # half of all compile time
 _addresses: list[int] = []
-_compiled: list[Any] = []
+_compiled: dict[int, Any] = {}
+_LOG = logging.getLogger("jink.compiled")
 
 
 def piece(returns: Any, *arguments: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -77,12 +85,56 @@ def _signature(returns: Any, arguments: tuple[Any, ...], given: tuple[Any, ...])
 def piece_addresses() -> NDArray[np.int64]:
     """Addresses of all pieces, compiled (or loaded from the cache) on the first call."""
     if not _addresses:
-        for function, returns, arguments in _registered:
-            if config.DISABLE_JIT:
-                _addresses.append(0)
-                continue
-            kinds = [reference_type(kind) if isinstance(kind, str) else kind for kind in arguments]
-            compiled = cfunc(returns(*kinds), _nrt=False, **COMPILE_OPTIONS)(function)
-            _compiled.append(compiled)
-            _addresses.append(int(compiled.address))
+        numbers = list(range(len(_registered)))
+        if not config.DISABLE_JIT:
+            with _second_compiler(numbers) as mine:
+                for number in mine:
+                    _compile(number)
+        for number in numbers:
+            _addresses.append(0 if config.DISABLE_JIT else int(_compile(number).address))
     return np.array(_addresses or [0], dtype=np.int64)
+
+
+def compile_pieces(numbers: list[int]) -> None:
+    """Compile some pieces into the cache on disk."""
+    for number in numbers:
+        _compile(number)
+
+
+def _compile(number: int) -> Any:
+    if number not in _compiled:
+        function, returns, arguments = _registered[number]
+        kinds = [reference_type(kind) if isinstance(kind, str) else kind for kind in arguments]
+        _compiled[number] = cfunc(returns(*kinds), _nrt=False, **COMPILE_OPTIONS)(function)
+    return _compiled[number]
+
+
+@contextlib.contextmanager
+def _second_compiler(numbers: list[int]) -> Iterator[list[int]]:
+    """Share a first compilation with a second process; yields the numbers that are left for this one.
+
+    Whatever the other process could not do is compiled here afterwards, so its failure costs time and nothing else.
+    """
+    folder = Path(__file__).parent / "__pycache__"
+    cached = config.CACHE_DIR or any(folder.glob("modes.predict_mode-*.nbi"))
+    if cached or (os.cpu_count() or 1) < 2 or not sys.executable or not os.access(folder, os.W_OK):
+        yield numbers
+        return
+    mine = [number for number in numbers if _registered[number][0].__name__ in _LONGEST]
+    theirs = [number for number in numbers if number not in mine]
+    imports = "import jink.estimators.api\nfrom jink.estimators.pieces import compile_pieces"
+    code = f"{imports}\ncompile_pieces({theirs})"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    quiet = subprocess.DEVNULL
+    try:
+        other = subprocess.Popen([sys.executable, "-c", code], env=environment, stdin=quiet, stdout=quiet, stderr=quiet)
+    except OSError as error:
+        _LOG.debug("no second process to compile in: %s", error)
+        yield numbers
+        return
+    try:
+        yield mine
+        other.wait()
+    finally:
+        other.kill()
+        other.wait()

@@ -72,7 +72,6 @@ class Program(NamedTuple):
     min_prob: float
     reset_prob: float
     reset_nis: float
-    every_sigma_point: bool  # never use the linear short cuts
 
 
 class Work(NamedTuple):
@@ -109,7 +108,6 @@ class Work(NamedTuple):
     present: Ints
     log_density: Floats
     prior: Floats
-    nis: Floats
     chain: Floats
     chain_scratch: Floats
     kin_modes: Floats
@@ -164,7 +162,6 @@ def make_work(modes: int, states: int, own: int, measured: int, kin: int) -> Wor
         np.zeros(kin + kin // 2),
         np.zeros(measured),
         np.zeros(measured, np.int64),
-        np.zeros(modes),
         np.zeros(modes),
         np.zeros(modes),
         np.zeros((modes, modes)),
@@ -286,7 +283,6 @@ def make_program(
         min_prob=float(min_prob),
         reset_prob=float(reset_prob),
         reset_nis=float(reset_nis),
-        every_sigma_point=bool(every_sigma_point),
     )
 
 
@@ -331,7 +327,7 @@ def _example() -> Program:
         ints, ints, ints, tables, tables, flags, flags.reshape(0, 0), floats, floats, ints, floats,
         floats.reshape(0, 0, 0),
         ints, ints, ints, ints, ints, 0, False, tables.reshape(0, 0, 0), flags.reshape(0, 0), tables,
-        flags.reshape(0, 0), 0, np.zeros(0), False, floats, flags, np.zeros(0), False, floats, 0.0, 0.0, 0.0, False,
+        flags.reshape(0, 0), 0, np.zeros(0), False, floats, flags, np.zeros(0), False, floats, 0.0, 0.0, 0.0,
     )  # fmt: skip
 
 

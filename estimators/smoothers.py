@@ -27,13 +27,13 @@ from numba import types
 from numpy.typing import NDArray
 
 from jink.estimators.compiled import call_transition, entry_kernel, inner_kernel
-from jink.estimators.cycle import ABSURD, fuse
+from jink.estimators.fusion import fuse
 from jink.estimators.interaction import convert_point, joint_points, own_prior
-from jink.estimators.linalg import cholesky, copy_matrix, copy_vector, solve_lower, solve_upper, wrap_angle
+from jink.estimators.linalg import cholesky, clear_tails, copy_matrix, copy_vector, solve_lower, solve_upper, wrap_angle
 from jink.estimators.markov import transition_matrix
 from jink.estimators.modes import process_noise
-from jink.estimators.pieces import MATRIX, PROGRAM, STACK, VECTOR, WORK, piece
 from jink.estimators.program import BIRTH, program_at, work_at
+from jink.estimators.records import ABSURD
 from jink.estimators.reference import record_type, reference_reader
 from jink.estimators.status import OK, REPAIRED
 from jink.estimators.unscented import point_weights, points_mean
@@ -111,6 +111,7 @@ def _pair_prediction(program, work, i, j, m, P, m_own, P_own, dt, near, ahead_me
     count, good = joint_points(program, work, i, j, m, P, work.own_mean, work.own_cov)
     joint = n + program.drawn[i, j]
     _, centre, other = point_weights(joint, program.tuning[0], program.tuning[1], program.tuning[2])
+    clear_tails(moved, count, size)
     for s in range(count):
         for k in range(program.drawn[i, j]):
             work.own[k] = points[s, n + k]
@@ -272,22 +273,7 @@ def _mixture(weights, means, covs, modes, n, mean, cov):
                     cov[a, c] += weights[j] * (covs[j, a, c] + (means[j, a] - mean[a]) * (means[j, c] - mean[c]))
 
 
-@piece(
-    types.void,
-    PROGRAM,
-    WORK,
-    SMOOTHER,
-    STACK,
-    STACKS,
-    MATRIX,
-    VECTOR,
-    STACK,
-    types.int64,
-    types.int64,
-    MATRIX,
-    STACK,
-    CODES,
-)
+@inner_kernel
 def _smooth_track(program, work, scratch, mean, cov, probs, times, chains, first, last, kin_mean, kin_cov, status):
     """Overwrite filtered ``mean``, ``cov``, ``probs`` of rows ``first`` to ``last`` by smoothed ones."""
     modes = program.sizes.size
@@ -299,6 +285,7 @@ def _smooth_track(program, work, scratch, mean, cov, probs, times, chains, first
     P, S = squares[6], squares[7]
     for t in range(last - 1, first - 1, -1):
         dt = times[t + 1] - times[t]
+        work.cached_dt[modes] = np.nan
         if chains.size > 0:
             copy_matrix(chains[(t + 1) if chains.shape[0] > 1 else 0], work.chain, modes)
         elif program.per_step:

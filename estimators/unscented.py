@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from jink.estimators.compiled import call_transition, kernel
-from jink.estimators.linalg import centre_rows, cholesky, copy_matrix, offset_rows, outer_add, padded
+from jink.estimators.linalg import centre_rows, cholesky, clear_tails, copy_rows, offset_rows, outer_add
 
 __all__ = ["draw_points", "point_weights", "points_covariance", "points_mean", "unscented_predict"]
 
@@ -38,11 +38,9 @@ def draw_points(m, upper, n, radius, points):
 def points_mean(points, count, n, other, mean):
     """Weighted mean of the points, taken about the centre point; then ``points`` hold deviations from it.
 
-    The weights sum to one, so ``w0 X_0 + w sum X_i = X_0 + w sum (X_i - X_0)``, with less rounding.
+    The weights sum to one, so ``w0 X_0 + w sum X_i = X_0 + w sum (X_i - X_0)``, with less rounding. The padding of
+    ``points`` is zero (`clear_tails` before they were written).
     """
-    for s in range(count):  # whole vectors are worked on below: what a longer mode left there must not survive
-        for c in range(n, padded(n)):
-            points[s, c] = 0.0
     centre_rows(points, count, n, other, mean)
 
 
@@ -73,9 +71,10 @@ def unscented_predict(transition, params, dt, m, P, Q, n, tuning, upper, points,
     radius, centre, other = point_weights(n, tuning[0], tuning[1], tuning[2])
     draw_points(m, upper, n, radius, points)
     count = 2 * n + 1
+    clear_tails(moved, count, n)
     for s in range(count):
         call_transition(transition, points[s, :n], dt, params, moved[s, :n])
     points_mean(moved, count, n, other, m_out)
-    copy_matrix(Q, P_out, n)
+    copy_rows(Q, P_out, n)
     points_covariance(moved, count, n, centre, other, P_out)
     return good

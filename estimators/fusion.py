@@ -1,0 +1,96 @@
+"""From modes to one answer: the bank's own innovation, its mode probabilities, its position and velocity."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import types
+
+from jink.estimators.compiled import inner_kernel
+from jink.estimators.linalg import cholesky, copy_vector
+from jink.estimators.modes import mode_kinematics
+from jink.estimators.pieces import MATRIX, PROGRAM, STACK, VECTOR, WORK, piece
+
+__all__ = ["bank_nis", "fuse", "mode_posterior"]
+
+
+@inner_kernel
+def bank_nis(work, modes, d):
+    """Innovation of the whole bank squared over its covariance: moments of the mixture of predicted measurements."""
+    prior, innovation, S_modes, S = work.prior, work.innovation, work.S_modes, work.S
+    mean, factor, whitened = work.sensed, work.factor, work.whitened
+    for a in range(d):
+        value = 0.0
+        for j in range(modes):
+            value += prior[j] * innovation[j, a]
+        mean[a] = value
+    for a in range(d):
+        for b in range(d):
+            value = 0.0
+            for j in range(modes):
+                da = innovation[j, a] - mean[a]
+                db = innovation[j, b] - mean[b]
+                value += prior[j] * (S_modes[j, a, b] + da * db)
+            S[a, b] = value
+    if not cholesky(S, d, factor):
+        return 0.0, False
+    nis = 0.0
+    for a in range(d):
+        value = mean[a]
+        for k in range(a):
+            value -= factor[k, a] * whitened[k, 0]
+        if not factor[a, a] > 0.0:
+            return 0.0, False
+        whitened[a, 0] = value / factor[a, a]
+        nis += whitened[a, 0] * whitened[a, 0]
+    return nis, np.isfinite(nis)
+
+
+@inner_kernel
+def mode_posterior(program, work, modes, probs):
+    """Mode probabilities ``prior_j exp(log_density_j) / sum``, floored; returns the log likelihood of the bank.
+
+    The largest log density is taken out first, so nothing under- or overflows. A mode with zero prior stays at zero.
+    """
+    prior, log_density = work.prior, work.log_density
+    top = -np.inf
+    for j in range(modes):
+        if prior[j] > 0.0:
+            top = max(top, log_density[j])
+    if not abs(top) < np.inf:
+        copy_vector(prior, probs)
+        return top
+    mass = 0.0
+    for j in range(modes):
+        probs[j] = prior[j] * np.exp(log_density[j] - top) if prior[j] > 0.0 else 0.0
+        mass += probs[j]
+    log_likelihood = top + np.log(mass)
+    floored = 0.0
+    for j in range(modes):
+        probs[j] /= mass
+        if probs[j] < program.min_prob and prior[j] > 0.0:
+            probs[j] = program.min_prob
+        floored += probs[j]
+    for j in range(modes):
+        probs[j] /= floored
+    return log_likelihood
+
+
+@piece(types.boolean, PROGRAM, WORK, MATRIX, STACK, VECTOR, VECTOR, MATRIX)
+def fuse(program, work, mean, cov, probs, kin_mean, kin_cov):
+    """Moments of the bank's position and velocity; returns whether all went well."""
+    modes, kin = program.sizes.size, kin_mean.size
+    means, covs = work.kin_modes, work.kin_covs
+    good = True
+    for a in range(kin):
+        kin_mean[a] = 0.0
+    for j in range(modes):
+        good = mode_kinematics(program, work, j, mean[j], cov[j], means[j], covs[j]) and good
+        for a in range(kin):
+            kin_mean[a] += probs[j] * means[j, a]
+    for a in range(kin):
+        for b in range(kin):
+            value = 0.0
+            for j in range(modes):
+                value += probs[j] * (covs[j, a, b] + (means[j, a] - kin_mean[a]) * (means[j, b] - kin_mean[b]))
+            kin_cov[a, b] = value
+    return good

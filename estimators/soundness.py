@@ -1,0 +1,82 @@
+"""What numbers are fit for use: measurements before a step, moments after it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from jink.estimators.compiled import inner_kernel
+from jink.estimators.linalg import cholesky, total
+from jink.estimators.records import ABSURD
+
+__all__ = ["sound_moments", "usable_components", "widen"]
+
+_FLOOR = 1e-14
+_ROUNDED = 1e-9
+
+
+@inner_kernel
+def usable_components(program, work, z, R, sensor):
+    """How many components can be used, and whether any was refused; fills ``work.present``, ``work.R``."""
+    present, noise = work.present, work.R
+    d = 0
+    clean = True
+    placed = True
+    if not program.sensor_linear:
+        for i in range(sensor.size):
+            placed = placed and abs(sensor[i]) < ABSURD
+    for i in range(z.size):
+        usable = abs(z[i]) < ABSURD and placed
+        variance = R[i, i]
+        sound = np.isfinite(variance) and variance > 0.0
+        if usable and sound:
+            present[d] = i
+            d += 1
+        if not np.isnan(z[i]) and not (usable and sound):
+            clean = False
+    coupled = False
+    for a in range(d):
+        noise[a, a] = R[present[a], present[a]]
+        for b in range(a):
+            entry, twin = R[present[a], present[b]], R[present[b], present[a]]
+            if not abs(entry - twin) <= _ROUNDED * (abs(entry) + abs(twin)):
+                entry = 0.0
+                clean = False
+            noise[a, b] = noise[b, a] = entry
+            coupled = coupled or entry != 0.0
+    if coupled and not cholesky(noise, d, work.factor):
+        clean = False
+        for a in range(d):
+            for b in range(a):
+                noise[a, b] = noise[b, a] = 0.0
+    return d, clean
+
+
+@inner_kernel
+def sound_moments(m, P, n, P_before):
+    """Whether numbers are usable (0 no, 1 yes after repair, 2 yes); a variance lost to rounding gets a floor."""
+    result = 2
+    size = 0.0
+    for i in range(n):
+        size += abs(m[i]) + abs(P[i, i])
+    if not size < ABSURD * ABSURD or not np.isfinite(total(P, n)):
+        return 0
+    for i in range(n):
+        if P[i, i] < 0.0 or (P[i, i] == 0.0 and P_before[i, i] > 0.0):
+            for k in range(n):
+                P[i, k] = 0.0
+                P[k, i] = 0.0
+            P[i, i] = max(_FLOOR * abs(P_before[i, i]), 0.0)
+            result = 1
+    return result
+
+
+@inner_kernel
+def widen(kin_cov):
+    """Ten times the standard deviations, within what numbers bear."""
+    size = 0.0
+    for a in range(kin_cov.shape[0]):
+        size = max(size, kin_cov[a, a])
+    if size < ABSURD:  # all or nothing: a covariance scaled in parts is none
+        for a in range(kin_cov.shape[0]):
+            for b in range(kin_cov.shape[0]):
+                kin_cov[a, b] *= 100.0
