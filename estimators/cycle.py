@@ -15,7 +15,7 @@ from jink.estimators.pieces import MATRIX, PROGRAM, STACK, VECTOR, WORK, piece
 from jink.estimators.program import RESET, program_at, work_at
 from jink.estimators.records import ABSURD, INPUTS, LOCATED, OUTPUTS, RUNNING, STATE, inputs_at, outputs_at
 from jink.estimators.reference import by_reference
-from jink.estimators.soundness import sound_moments, usable_components, widen
+from jink.estimators.soundness import drop_impossible_correlations, sound_moments, usable_components, widen
 from jink.estimators.status import DIVERGED, MISSING, OK, REPAIRED, STARTING
 
 __all__ = ["advance", "advance_one", "begin_tracks"]
@@ -158,6 +158,8 @@ def step(program, work, state, inputs, outputs, b, t):
         status = REPAIRED
     if lost or state.nis_average[b, modes] > _LOST_NIS:
         status = DIVERGED
+    if status in (REPAIRED, DIVERGED):
+        drop_impossible_correlations(work, state.kin_cov[b])
     outputs.status[b, t] = status
 
 

@@ -8,7 +8,7 @@ from jink.estimators.compiled import inner_kernel
 from jink.estimators.linalg import cholesky, total
 from jink.estimators.records import ABSURD
 
-__all__ = ["sound_moments", "usable_components", "widen"]
+__all__ = ["drop_impossible_correlations", "sound_moments", "usable_components", "widen"]
 
 _FLOOR = 1e-14
 _ROUNDED = 1e-9
@@ -68,6 +68,20 @@ def sound_moments(m, P, n, P_before):
             P[i, i] = max(_FLOOR * abs(P_before[i, i]), 0.0)
             result = 1
     return result
+
+
+@inner_kernel
+def drop_impossible_correlations(work, kin_cov):
+    """Make a covariance that rounding left indefinite diagonal (of a lost track, with variances 1e40 apart)."""
+    kin, square = kin_cov.shape[0], work.joint_square
+    for a in range(kin):
+        for b in range(kin):
+            square[a, b] = kin_cov[a, b]
+    if not cholesky(square, kin, work.upper):
+        for a in range(kin):
+            for b in range(kin):
+                if a != b:
+                    kin_cov[a, b] = 0.0
 
 
 @inner_kernel

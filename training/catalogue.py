@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import inspect
 from collections.abc import Mapping
 from typing import Any
@@ -20,8 +21,13 @@ SUITES = {
 
 
 def print_catalogue(console: Console) -> None:
-    """Print estimators, motions, sensors, scenarios and suites."""
-    from jink.envs.published import SCENARIOS
+    """Print estimators, motions, sensors, environments, intents, surges, scenarios, scenes and suites."""
+    from jink.envs.intents import INTENTS
+    from jink.envs.published import SCENARIOS as PUBLISHED
+    from jink.envs.registration import ENVIRONMENTS
+    from jink.envs.scenarios import SCENARIOS
+    from jink.envs.scene_library import SCENES
+    from jink.envs.surges import SURGES
     from jink.estimators.motions import MOTIONS
     from jink.estimators.recipes import RECIPES
     from jink.estimators.sensors import SENSORS
@@ -29,7 +35,13 @@ def print_catalogue(console: Console) -> None:
     _print_section(console, "estimators", {name: _first_line(make) for name, make in RECIPES.items()})
     _print_section(console, "motions", {name: _first_line(make) for name, make in MOTIONS.items()})
     _print_section(console, "sensors", {name: _first_line(make) for name, make in SENSORS.items()})
-    _print_section(console, "scenarios", {name: scenario.title for name, scenario in SCENARIOS.items()})
+    _print_section(console, "environments", {name: _environment(options) for name, options in ENVIRONMENTS.items()})
+    _print_section(console, "intents", {name: _first_line(kind) for name, kind in INTENTS.items()})
+    _print_section(console, "surges", {name: _first_line(kind) for name, kind in SURGES.items()})
+    simulated = {name: f"{scenario.title} ({scenario.suite})" for name, scenario in SCENARIOS.items()}
+    _print_section(console, "scenarios", simulated)
+    _print_section(console, "scenes", {name: scene.title for name, scene in SCENES.items()})
+    _print_section(console, "published", {name: scenario.title for name, scenario in PUBLISHED.items()})
     _print_section(console, "suites", SUITES)
 
 
@@ -38,6 +50,15 @@ def _print_section(console: Console, title: str, lines: Mapping[str, str]) -> No
     for name, line in lines.items():
         table.add_row(name, escape(line))
     console.print(table)
+
+
+def _environment(options: Mapping[str, Any]) -> str:
+    """What an agent does there: the first line of the task's page."""
+    from jink.envs.registration import TASKS
+
+    module, _, name = TASKS[options["task"]][0].partition(":")
+    line = _first_line(getattr(importlib.import_module(module), name))
+    return f"{line} (the inflation itself is the action)" if options.get("continuous") else line
 
 
 def _first_line(thing: Any) -> str:

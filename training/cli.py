@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from jink.training.console import run_command, screen
+from jink.training.console import run_command, say_when_compiling, screen
 
 __all__ = ["app", "main"]
 
@@ -154,10 +154,10 @@ def track_command(
 
 @app.command(
     "list",
-    help="Name the estimators, motions, sensors, scenarios and suites.\n\nExample:\n\n  jink list",
+    help="Name the estimators, motions, sensors, environments, scenarios and suites.\n\nExample:\n\n  jink list",
 )
 def list_command() -> None:
-    """Name the estimators, motions, sensors, scenarios and suites."""
+    """Name the estimators, motions, sensors, environments, scenarios and suites."""
     from jink.training.catalogue import print_catalogue
 
     print_catalogue(screen())
@@ -192,6 +192,79 @@ def bench_command(
     return bench(BenchRequest(suite=suite, quick=quick, out=out, data=data, runs=runs, seed=seed), screen())
 
 
+_PLAY_HELP = """Watch an episode of an environment in a window, or write it to a file.
+
+Without a display, or with --out, the episode goes to a file: .mp4 or .gif (all frames) or .png (the last).
+
+Examples:
+
+  jink play ManoeuvringTarget-v0 --scenario joint-v0
+
+  jink play jink/AdaptiveFactor-v0 --policy huber --seed 3 --out episode.gif
+
+  jink play ManoeuvringTarget-v0 --scenario air-radar-v0 --policy kf-cv --out last.png
+"""
+
+
+@app.command("play", help=_PLAY_HELP)
+def play_command(
+    env: Annotated[str, typer.Argument(help="Id, with or without jink/.", metavar="ENV")],
+    scenario: Annotated[str | None, typer.Option(help="Name from 'jink list'.")] = None,
+    policy: Annotated[
+        str | None, typer.Option(help="An estimator, a factor, none or random; default the first that fits.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the episode; default a new one.")] = None,
+    out: Annotated[Path | None, typer.Option(help="To this .mp4, .gif or .png.")] = None,
+    steps: Annotated[int | None, typer.Option(help="Stop after so many decisions.")] = None,
+) -> None:
+    """Watch an episode of an environment, or write it to a file."""
+    from gymnasium.error import DependencyNotInstalled
+
+    from jink.training.play import PlayRequest, play, print_played
+
+    request = PlayRequest(env=env, scenario=scenario, policy=policy, seed=seed, out=out, steps=steps)
+    try:
+        played = play(request)
+    except DependencyNotInstalled as error:
+        raise ValueError(str(error)) from error
+    print_played(screen(), played)
+
+
+_CHECK_HELP = """Examine the vector environment of an id: spaces, seeds, autoreset modes, equality with single ones.
+
+Works for any id that gymnasium.make_vec knows.
+
+Examples:
+
+  jink check --env jink/AdaptiveFactor-v0
+
+  jink check --env CartPole-v1 --num-envs 4
+"""
+
+
+@app.command("check", help=_CHECK_HELP)
+def check_command(
+    env: Annotated[str, typer.Option(help="Id of an environment; MODULE:ID imports the module first.")],
+    num_envs: Annotated[int, typer.Option(help="How many environments.")] = 3,
+    seed: Annotated[int, typer.Option(help="Seed of the first.")] = 0,
+    steps: Annotated[int, typer.Option(help="Random steps of a comparison.")] = 300,
+) -> int:
+    """Examine a vector environment."""
+    import gymnasium
+
+    import jink.envs
+    from jink.envs.checking import check_vector_env, print_check
+
+    gymnasium.register_envs(jink.envs)
+    try:
+        with say_when_compiling():
+            report = check_vector_env(env, num_envs, seed, steps)
+    except (gymnasium.error.Error, ModuleNotFoundError) as error:
+        raise ValueError(f"--env: id must be one that Gymnasium knows; got '{env}'. {error}") from error
+    print_check(report, screen())
+    return int(not report.ok)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
@@ -199,7 +272,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: without the program's name; None: those of the process.
 
     Returns:
-        exit code: 0, 1 where a benchmark cell failed, 2 for refused input, 130 after Ctrl-C.
+        exit code: 0, 1 where a benchmark cell or a check failed, 2 for refused input, 130 after Ctrl-C.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     return run_command(lambda: app(args=given, prog_name="jink", standalone_mode=False))

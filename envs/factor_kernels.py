@@ -1,0 +1,346 @@
+"""Kernels of `jink/AdaptiveFactor-v0`: a decision, the two references it is measured against, and what is seen next.
+
+A row of `samples` is one sample of one target, a row of `memory` one target; columns are named below and shared with
+`adaptive_factor`. Reference and agent go through the same functions by address and through `math.hypot`, so that equal
+choices give equal bits.
+"""
+
+from __future__ import annotations
+
+import math
+
+from jink.envs.compiled import inner_kernel, kernel
+from jink.envs.loop_filter import call_innovate, call_predict, call_start, call_update
+from jink.estimators.factors import call_factor, normalised_innovation
+
+__all__ = ["begin_rows", "step_rows", "tell_rows"]
+
+# Columns of a sample; then true position, measured position, estimate, A each.
+TIME, SCALE, INTENT, NOMINAL, ORACLE, CHOICE, SCORE, FIRST = range(8)
+# Columns of a target's memory; then true position, estimate, average whitened innovation, A each.
+GAIN, SIGMA, SHORT, LONG, MISSED, STREAK, ERROR_AGENT, ERROR_NOMINAL, ERROR_ORACLE, INFLATION, NIS, PLACE = range(12)
+# Entries of the settings.
+LOST_AFTER, LOST_STEPS, LOWEST, HIGHEST, LOSS, FLOOR = range(6)
+DISTANCE, SQUARED, LOG = range(3)
+SHORT_SAMPLES, LONG_SAMPLES = 4.0, 20.0
+BOUND = 5.0
+"""Observations are cut off here."""
+_NOISE, _CHOSEN = 0, 1
+_SCRATCH, _HPH, _WANTED, _PART, _VECTOR, _REFERENCE = 11, 12, 13, 14, 15, 16
+WORK = 17
+"""Matrices (16, 8) of scratch: 11 for the filter, the rest for these kernels."""
+
+
+@inner_kernel
+def _loss(error, sigma, kind):
+    relative = error / sigma
+    if kind == SQUARED:
+        return relative * relative
+    if kind == LOG:
+        return math.log1p(relative * relative)
+    return relative
+
+
+@inner_kernel
+def _load_noise(noises, i, k, scalar, A, out):
+    """Nominal noise of a sample into ``out`` (A, 8); one for all targets and samples if ``scalar``."""
+    row, column = (0, 0) if scalar else (i, k)
+    for a in range(A):
+        for b in range(A):
+            out[a, b] = noises[row, column, a * A + b]
+
+
+@inner_kernel
+def _count(z, A):
+    d = 0
+    for a in range(A):
+        if not math.isnan(z[a]):
+            d += 1
+    return d
+
+
+@inner_kernel
+def _pack(matrix, begin, v, A, out):
+    """Rows ``begin`` to ``begin + A`` of ``matrix`` without the missing components of the innovation ``v``."""
+    i = 0
+    for a in range(A):
+        if not math.isnan(v[a]):
+            j = 0
+            for b in range(A):
+                if not math.isnan(v[b]):
+                    out[i, j] = matrix[begin + a, b]
+                    j += 1
+            i += 1
+
+
+@inner_kernel
+def _inflate(state, inflation, A, work):
+    """The noise to use is ``inflation`` times the one the filter wants adapted."""
+    for a in range(A):
+        for b in range(A):
+            work[_CHOSEN, a, b] = inflation * state[3 * A + 3 + a, b]
+
+
+@inner_kernel
+def _adapt(factor, thresholds, nis, d, A, state, work):
+    """The noise to use by a factor into ``work[_CHOSEN]``; returns ``tr R~ / tr R``."""
+    at = 2 * A + 2
+    chosen, scratch = work[_CHOSEN], work[_SCRATCH]
+    before, after = 0.0, 0.0
+    if d == A:
+        call_factor(
+            factor, state[at, :A], state[at + 1 :], state[at + 1 + A :], nis, thresholds[d - 1], scratch, chosen
+        )
+        for a in range(A):
+            before += state[at + 1 + A + a, a]
+            after += chosen[a, a]
+        return after / before
+    HPH, wanted, part, v = work[_HPH], work[_WANTED], work[_PART], work[_VECTOR, 0, :d]
+    _pack(state, at + 1, state[at], A, HPH)
+    _pack(state, at + 1 + A, state[at], A, wanted)
+    i = 0
+    for a in range(A):
+        if not math.isnan(state[at, a]):
+            v[i] = state[at, a]
+            i += 1
+    call_factor(factor, v, HPH, wanted, nis, thresholds[d - 1], scratch, part)
+    i = 0
+    for a in range(A):
+        for b in range(A):
+            chosen[a, b] = 0.0
+        if not math.isnan(state[at, a]):
+            before += wanted[i, i]
+            after += part[i, i]
+            j = 0
+            for b in range(A):
+                if not math.isnan(state[at, b]):
+                    chosen[a, b] = part[i, j]
+                    j += 1
+            i += 1
+    return after / before
+
+
+@inner_kernel
+def _error(sample, state, A):
+    error = math.hypot(sample[FIRST] - state[0, 0], sample[FIRST + 1] - state[0, 1])
+    if A == 3:
+        error = math.hypot(error, sample[FIRST + 2] - state[0, 2])
+    return error
+
+
+@inner_kernel
+def _squash(value):
+    """``sign(x) ln(1 + |x|)`` within the bound."""
+    return math.copysign(min(math.log1p(abs(value)), BOUND), value)
+
+
+@inner_kernel
+def _clip(value):
+    return min(value, BOUND) if value > -BOUND else -BOUND
+
+
+@inner_kernel
+def _look(filters, A, modes, state, sample, memory, params, actions, choice, shown, work, features):
+    """What the agent sees of a sample before it decides; the averages move on."""
+    z = sample[FIRST + A : FIRST + 2 * A]
+    at, whole, scratch, R = 2 * A + 2, PLACE + 2 * A, work[_SCRATCH], work[_NOISE]
+    d = _count(z, A)
+    log_nis, ratio, nis = 0.0, 0.0, 0.0
+    memory[MISSED] += 1.0
+    for a in range(A):
+        features[a] = 0.0
+    if d > 0:
+        call_innovate(filters[1], state, z, params, work[:11])
+        if d == A:
+            nis = normalised_innovation(state[at], state[at + 1 :], R, 1.0, d, scratch)
+        else:
+            v = work[_VECTOR, 0]
+            i = 0
+            for a in range(A):
+                if not math.isnan(z[a]):
+                    v[i] = state[at, a]
+                    i += 1
+            _pack(state, at + 1, state[at], A, work[_HPH])
+            _pack(R, 0, state[at], A, work[_PART])
+            nis = normalised_innovation(v, work[_HPH], work[_PART], 1.0, d, scratch)
+        if nis < math.inf:
+            memory[MISSED] = 0.0
+            log_nis = _clip(0.5 * math.log(nis / d + 0.01))
+            memory[SHORT] += (log_nis - memory[SHORT]) / SHORT_SAMPLES
+            memory[LONG] += (log_nis - memory[LONG]) / LONG_SAMPLES
+            above, below = 0.0, 0.0
+            i = 0
+            for a in range(A):
+                if not math.isnan(z[a]):
+                    above += state[at + 1 + a, a]
+                    below += R[a, a]
+                    value = _squash(scratch[d + i, 0])
+                    features[a] = value
+                    memory[whole + a] += (value - memory[whole + a]) / SHORT_SAMPLES
+                    i += 1
+            ratio = 0.5 * math.log(above / below)
+    memory[NIS] = nis if nis < math.inf else math.inf
+    for a in range(A):
+        features[A + a] = memory[whole + a]
+    at = 2 * A
+    features[at] = log_nis
+    features[at + 1] = memory[SHORT]
+    features[at + 2] = memory[LONG]
+    features[at + 3] = _squash(memory[MISSED])
+    features[at + 4] = _clip(ratio)
+    at += 5
+    for j in range(modes):
+        features[at + j] = state[2 * A + 1, j]
+    at += modes
+    if actions == 0:
+        features[at] = shown
+    for j in range(actions):
+        features[at + j] = 1.0 if j == choice else 0.0
+
+
+@inner_kernel
+def _reference(filters, A, kind, prior, noises, row, scalar, samples, params, settings, sigma, work):
+    """One reference through an episode: nominal R (kind 0) or the true one (1); returns the sum of its losses."""
+    steps = samples.shape[0]
+    state = work[_REFERENCE, : 4 * A + 3]
+    total = 0.0
+    call_start(filters[0], prior, params, state)
+    for k in range(steps - 1):
+        sample = samples[k]
+        z = sample[FIRST + A : FIRST + 2 * A]
+        if _count(z, A) > 0:
+            _load_noise(noises, row, k, scalar, A, work[_NOISE])
+            call_innovate(filters[1], state, z, params, work[:11])
+            _inflate(state, 1.0 if kind == 0 else sample[SCALE], A, work)
+            call_update(filters[2], state, params, work[:11])
+        error = _error(sample, state, A)
+        sample[NOMINAL + kind] = error
+        total += _loss(error, sigma, settings[LOSS])
+        call_predict(filters[3], state, samples[k + 1, TIME] - sample[TIME], params, work[:11])
+    return total
+
+
+@inner_kernel
+def _load(i, A, times, scale, intent, position, places, samples):
+    """One episode into the records of its samples."""
+    for k in range(samples.shape[0]):
+        sample = samples[k]
+        sample[TIME], sample[SCALE], sample[INTENT] = times[i, k], scale[i, k], intent[i, k]
+        sample[NOMINAL], sample[ORACLE], sample[CHOICE], sample[SCORE] = 0.0, 0.0, -1.0, 0.0
+        for a in range(A):
+            sample[FIRST + a] = position[i, k, a]
+            sample[FIRST + A + a] = places[i, k, a]
+            sample[FIRST + 2 * A + a] = math.nan
+
+
+@kernel
+def begin_rows(
+    begin, end, rows, A, modes, actions, filters, params, settings, times, scale, intent, position, places, priors,
+    noises, scalar, states, samples, memory, features, work,
+):  # fmt: skip
+    """Targets ``rows[begin:end]`` start: both references run through the episode, then the first sample is seen."""
+    steps = samples.shape[1]
+    for i in range(begin, end):
+        row = rows[i]
+        mine = memory[row]
+        _load(i, A, times, scale, intent, position, places, samples[row])
+        mine[SIGMA] = _mean_sigma(noises, row, scalar, A, steps)
+        gain = 0.0
+        for kind in range(2):
+            total = _reference(
+                filters, A, kind, priors[i], noises, row, scalar, samples[row], params, settings, mine[SIGMA], work
+            )
+            gain += total if kind == 0 else -total
+        mine[GAIN] = max(gain / (steps - 1), settings[FLOOR])
+        first = samples[row, 0]
+        call_start(filters[0], priors[i], params, states[row])
+        error = _error(first, states[row], A)
+        for a in range(A):
+            mine[PLACE + a] = first[FIRST + a]
+            mine[PLACE + A + a] = states[row, 0, a]
+            mine[PLACE + 2 * A + a] = 0.0
+        mine[ERROR_AGENT], mine[ERROR_NOMINAL], mine[ERROR_ORACLE] = error, error, error
+        mine[SHORT], mine[LONG], mine[MISSED], mine[STREAK], mine[INFLATION] = 0.0, 0.0, -1.0, 0.0, 1.0
+        _load_noise(noises, row, 0, scalar, A, work[_NOISE])
+        _look(filters, A, modes, states[row], first, mine, params, actions, -1, -1.0, work, features[row])
+
+
+@kernel
+def tell_rows(
+    at, A, samples, memory, time, scale, intent, detected, nis, agent, nominal, oracle, inflation, position, estimate
+):
+    """What `AdaptiveFactorTask.info` returns."""
+    for row in range(at.shape[0]):
+        sample, mine = samples[row, at[row]], memory[row]
+        time[row], scale[row], intent[row] = sample[TIME], sample[SCALE], int(sample[INTENT])
+        detected[row], nis[row] = mine[MISSED] == 0.0, mine[NIS]
+        agent[row], nominal[row], oracle[row] = mine[ERROR_AGENT], mine[ERROR_NOMINAL], mine[ERROR_ORACLE]
+        inflation[row] = mine[INFLATION]
+        for a in range(A):
+            position[row, a] = mine[PLACE + a]
+            estimate[row, a] = mine[PLACE + A + a]
+
+
+@inner_kernel
+def _mean_sigma(noises, row, scalar, A, steps):
+    """Root mean nominal variance of a position component over an episode, m."""
+    total, count = 0.0, 1 if scalar else steps
+    for k in range(count):
+        for a in range(A):
+            total += noises[0 if scalar else row, k, a * A + a]
+    return math.sqrt(total / (A * count))
+
+
+@kernel
+def step_rows(
+    begin, end, live, at, choices, inflations, A, modes, actions, filters, factors, thresholds, params, settings,
+    noises, scalar, states, samples, memory, features, reward, lost, work,
+):  # fmt: skip
+    """Targets ``begin`` to ``end`` that are live take their decision at sample ``at`` and see the next one."""
+    steps = samples.shape[1]
+    for row in range(begin, end):
+        reward[row] = 0.0
+        lost[row] = False
+        if not live[row]:
+            continue
+        k, mine, state = at[row], memory[row], states[row]
+        sample = samples[row, k]
+        d, used = _count(sample[FIRST + A : FIRST + 2 * A], A), inflations[row]
+        if d > 0:
+            if choices[row] < 0:
+                _inflate(state, used, A, work)
+            else:
+                used = _adapt(factors[choices[row]], thresholds[choices[row]], mine[NIS], d, A, state, work)
+            call_update(filters[2], state, params, work[:11])
+        else:
+            used = 1.0
+        error = _error(sample, state, A)
+        nominal = sample[NOMINAL]
+        gained = _loss(nominal, mine[SIGMA], settings[LOSS]) - _loss(error, mine[SIGMA], settings[LOSS])
+        # Not min and max: an error that is no number must not earn the best reward.
+        score = gained / mine[GAIN]
+        if not score > settings[LOWEST]:
+            score = settings[LOWEST]
+        score = min(score, settings[HIGHEST])
+        if error <= settings[LOST_AFTER] * max(mine[SIGMA], nominal):
+            mine[STREAK] = 0.0
+        else:
+            mine[STREAK] += 1.0
+        if mine[STREAK] >= settings[LOST_STEPS]:
+            lost[row] = True
+            score = settings[LOWEST] * (steps - 1 - k)
+        reward[row] = score
+        sample[CHOICE], sample[SCORE] = choices[row], score
+        mine[ERROR_AGENT], mine[ERROR_NOMINAL], mine[ERROR_ORACLE] = error, nominal, sample[ORACLE]
+        mine[INFLATION] = used
+        for a in range(A):
+            mine[PLACE + a] = sample[FIRST + a]
+            mine[PLACE + A + a] = state[0, a]
+            sample[FIRST + 2 * A + a] = state[0, a]
+        after = samples[row, k + 1]
+        call_predict(filters[3], state, after[TIME] - sample[TIME], params, work[:11])
+        _load_noise(noises, row, k + 1, scalar, A, work[_NOISE])
+        shown = math.log(inflations[row]) / math.log(1e6) * 2.0 - 1.0 if actions == 0 else 0.0
+        _look(
+            filters, A, modes, state, after, mine, params, actions, choices[row], shown, work, features[row]
+        )
