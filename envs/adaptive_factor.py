@@ -28,9 +28,85 @@ _LOWEST, _HIGHEST, _LEAST_GAIN = -10.0, 100.0, 0.1
 
 
 class AdaptiveFactorTask:
-    """Choose how a filter distrusts each measurement, one decision per measurement.
+    """Choose how far a tracking filter distrusts each measurement, one decision per measurement.
 
     ## Description
+    A Kalman filter tracks a target; the noise of its sensor surges without notice, in bursts, in isolated gross
+    outliers, or in heavy tails. An innovation that is too large may be noise, which the filter should ignore, or a
+    manoeuvre, which it should follow. The agent sees the innovation of a measurement and then chooses the adaptive
+    factor that turns the nominal noise R into the R~ the update uses (or, in the continuous variant, how much to
+    inflate R). Two references run beside the agent's filter, equal but for their R: the *nominal* filter always uses
+    R, the *oracle* knows the true noise of every measurement.
+
+    ## Observation Space
+    A `Box` of float32 with A space dimensions. Squashed means ``x / (1 + |x| / 5)``; D^2 is the innovation
+    squared over its covariance with nominal R, d the components measured.
+
+    | part | size | meaning | range |
+    |---|---|---|---|
+    | innovation | A | whitened by the Cholesky factor of its covariance, squashed; 0 where missing | -5 .. 5 |
+    | drift | A | running average of the former, 4 detections: a manoeuvre pushes one way, noise does not | -5 .. 5 |
+    | log NIS | 1 | ``ln(D^2 / d + 0.01) / 2``; 0 where nothing was measured | -5 .. 5 |
+    | short average | 1 | of the former, 4 detections | -5 .. 5 |
+    | long average | 1 | of the former, 20 detections | -5 .. 5 |
+    | silence | 1 | samples since the last detection (0: detected now), squashed | 0 .. 5 |
+    | uncertainty | 1 | ``tr H P H' / tr S``: about the gain of the nominal filter; 0 where missing | 0 .. 1 |
+    | modes | M | probabilities of the filter's modes; none for the single-model filters | 0 .. 1 |
+    | last action | choices | one-hot, zeros at first; in the continuous variant the action itself | 0 .. 1 (-1 .. 1) |
+
+    Averages move by a quarter and a twentieth of the difference; they include the measurement shown.
+
+    ## Action Space
+    `Discrete`: the number of a factor: 0 none, 1 mr, 2 huber, 3 rma, 4 mahalanobis, or what ``factors`` lists
+    (`jink.estimators.factors.FACTORS`). Continuous: `Box(-1, 1, (1,), float32)`; R is multiplied by a factor of 1 at
+    -1 to a million at 1, linearly in its logarithm. A sample without a measurement is only predicted, whatever the
+    action.
+
+    ## Rewards
+    ``(e_nominal - e_agent) / c``: how much closer the agent's estimate is than the nominal filter's, e the distance to
+    the truth at the time of the measurement. c is the mean of ``e_nominal - e_oracle`` over the episode, so that the
+    mean reward is 0 for the nominal filter (exactly: action *none*, or -1) and 1 for the oracle. c is at least a tenth
+    of sigma, the root mean nominal variance of a position component: in an episode without surges there is nothing to
+    gain, and the reward is the difference in tenths of sigma. ``reward="squared"`` and ``"log"`` use ``e^2`` and
+    ``ln(1 + e^2)`` instead, in units of sigma. A reward is cut off at -10 and 100. Losing the track costs 10 for each
+    decision left, so that giving up never pays. A sample whose truth is not known (recorded tracks) gives 0.
+
+    ## Starting State
+    A target drawn by the scenario from the environment's generator; the filters start from what the scenario tells
+    about it; the first observation is the first innovation.
+
+    ## Episode End
+    - Terminated: the track is lost, that is the agent's error exceeded ``lost_after`` times the larger of sigma and
+      the nominal filter's error for ``lost_steps`` decisions in a row. The nominal filter is never lost.
+    - Truncated: the decision at the last sample but one has been taken; the last observation shows the last sample.
+
+    ## Arguments
+    ``scenario``, ``suite`` or ``tracks`` choose what happens, other keywords change the scenario's parameters.
+    ``factors``, ``loop_filter`` ("kf", "robust", or a `jink.envs.loop_filter.LoopFilter`), ``reward``, ``lost_after``
+    (default 25) and ``lost_steps`` (default 10). The filter is linear: measurements of range and angle are converted
+    to positions with their exact moments beforehand; sensors that do not locate a target are refused.
+
+    ## Info
+    Of the sample observed: ``time`` s, ``noise_scale`` (the true factor on the noise covariance), ``intent`` (its
+    index in ``rollout.source.intents``), ``detected``, ``nis`` (D^2). Of the decision just taken, or the prior before
+    any: ``error_agent``, ``error_nominal``, ``error_oracle`` m, ``inflation`` (``tr R~ / tr R``), ``position`` and
+    ``estimate`` m.
+
+    ## Version History
+    * v0: first version.
+
+    Args:
+        source: where episodes come from.
+        count: number of targets B.
+        continuous: choose an inflation instead of a factor.
+        factors: names or `Factor` objects, one per action.
+        loop_filter: the filter in the loop.
+        reward: "distance", "squared" or "log".
+        lost_after: how far off, in sigma or nominal errors, an estimate may be.
+        lost_steps: decisions in a row after which the track is lost.
+
+    Raises:
+        ValueError: an unknown name, an option out of range, or a sensor that does not locate.
     """
 
     def __init__(
@@ -56,7 +132,7 @@ class AdaptiveFactorTask:
         self.source, self.count, self.continuous = source, int(count), bool(continuous)
         self.factors = tuple(make_factor(factor) if isinstance(factor, str) else factor for factor in factors)
         if not continuous and len(self.factors) < 2:
-            raise ValueError(f"make: factors must be at least two; got {len(self.factors)}. There is nothing to choose.")
+            raise ValueError(f"make: factors must be at least two; got {len(self.factors)}. Name another.")
         self.loop_filter = make_loop_filter(loop_filter, source.axes)
         A, B, T, modes = source.axes, self.count, source.steps, len(self.loop_filter.modes)
         choices = 0 if continuous else len(self.factors)
@@ -71,7 +147,7 @@ class AdaptiveFactorTask:
             [lost_after, lost_steps, _LOWEST, _HIGHEST, _LOSSES[reward], _LEAST_GAIN], dtype=np.float64
         )
         self._states = np.zeros((B, 4 * A + 3, 8))
-        self._samples = np.zeros((B, T, kernels.FIRST + 3 * A))
+        self._samples = np.zeros((T, B, kernels.FIRST + 3 * A))
         self._memory = np.zeros((B, kernels.PLACE + 3 * A))
         self._features = np.zeros((B, self.observation_space.shape[0]), dtype=np.float32)
         self._noises = np.zeros((1, 1, A * A))
@@ -106,7 +182,8 @@ class AdaptiveFactorTask:
             if not np.abs(array).max() <= 1.0:
                 row = int(np.argmin(np.abs(array[:, 0]) <= 1.0))
                 raise ValueError(
-                    f"{caller}: action must be finite and within -1 .. 1; got {array[row, 0]} for target {row}. Clip it."
+                    f"{caller}: action must be finite and within -1 .. 1; got {array[row, 0]} for target {row}. "
+                    "Clip it."
                 )
             return array.astype(np.float64)
         if array.shape != (self.count,) or array.dtype.kind not in "iu":
@@ -114,13 +191,14 @@ class AdaptiveFactorTask:
                 f"{caller}: action must be integers of shape {(self.count,)}; got {array.dtype} {array.shape}. "
                 f"Give the number of a factor: {_listed(self.factors)}."
             )
-        if array.min() < 0 or array.max() >= len(self.factors):
+        chosen = array.astype(np.int64)
+        if chosen.view(np.uint64).max() >= len(self.factors):  # a negative number is a huge one
             row = int(np.argmax((array < 0) | (array >= len(self.factors))))
             raise ValueError(
                 f"{caller}: action must be 0 .. {len(self.factors) - 1}; got {array[row]} for target {row}. "
                 f"Give the number of a factor: {_listed(self.factors)}."
             )
-        return array.astype(np.int64)
+        return chosen
 
     def begin(self, rows: Rows, episodes: Episodes) -> None:
         """Rows start new episodes; both reference filters run through them."""
@@ -137,10 +215,15 @@ class AdaptiveFactorTask:
         priors = np.zeros((len(rows), 2 * A + 1, 8))
         priors[:, 0, : 2 * A] = episodes.prior_mean
         priors[:, 1:, : 2 * A] = episodes.prior_cov
+        inputs = (
+            _own(episodes.times), _own(episodes.scale), _own(episodes.truth.intent), _own(episodes.truth.position),
+            _own(places),
+        )  # fmt: skip
         in_halves(
             kernels.begin_rows, len(rows), rows, A, modes, choices, self._filters, self._params, self._settings,
-            episodes.times, episodes.scale, episodes.truth.intent, episodes.truth.position, places, priors,
-            self._noises, self._one_noise, self._states, self._samples, self._memory, self._features,
+            *inputs, priors,
+            self._noises, self._one_noise, self._states,
+            np.empty((2, T, kernels.FIRST + 3 * A)), self._samples, self._memory, self._features,
         )  # fmt: skip
 
     def step(self, actions: NDArray[Any], k: Rows, live: NDArray[np.bool_]) -> Outcome:
@@ -153,8 +236,8 @@ class AdaptiveFactorTask:
             chosen, inflations = actions, np.ones(self.count)
         reward, lost = np.empty(self.count), np.empty(self.count, dtype=np.bool_)
         in_halves(
-            kernels.step_rows, self.count, live, k, chosen, inflations, A, modes, choices, self._filters, self._addresses,
-            self._thresholds, self._params, self._settings, self._noises, self._one_noise,
+            kernels.step_rows, self.count, live, k, chosen, inflations, A, modes, choices, self._filters,
+            self._addresses, self._thresholds, self._params, self._settings, self._noises, self._one_noise,
             self._states, self._samples, self._memory, self._features, reward, lost,
         )  # fmt: skip
         return Outcome(reward, lost)
@@ -185,7 +268,7 @@ class AdaptiveFactorTask:
     def picture(self, row: int, k: int) -> Picture:
         """Everything up to sample ``k`` of one target."""
         A, c = self.source.axes, kernels.FIRST
-        past = self._samples[row, : k + 1]
+        past = self._samples[: k + 1, row]
         return Picture(
             title=self.source.id,
             times=past[:, kernels.TIME].copy(),
@@ -203,11 +286,16 @@ class AdaptiveFactorTask:
         )
 
 
+def _own(array: NDArray[Any]) -> NDArray[Any]:
+    """The array as kernels were compiled for: C order and not marked read-only."""
+    return np.require(array, requirements=["C", "W"])
+
+
 def _bounds(A: int, modes: int, choices: int) -> tuple[Array, Array]:
     high = np.full(2 * A + 5 + modes + max(choices, 1), kernels.BOUND)
     low = -high
     low[2 * A + 3] = 0.0
-    low[2 * A + 5 :], high[2 * A + 5 :] = 0.0, 1.0
+    low[2 * A + 4 :], high[2 * A + 4 :] = 0.0, 1.0
     if not choices:
         low[-1] = -1.0
     return low.astype(np.float32), high.astype(np.float32)

@@ -82,5 +82,5 @@ def _from_polar(z: Array, variances: Array, origin: Array) -> tuple[Array, Array
     covs[..., 0, 0] = 0.5 * level_square * (1.0 + twice_cosine) - places[..., 0] ** 2
     covs[..., 1, 1] = 0.5 * level_square * (1.0 - twice_cosine) - places[..., 1] ** 2
     covs[..., 0, 1] = covs[..., 1, 0] = 0.5 * level_square * twice_sine - places[..., 0] * places[..., 1]
-    seen = np.isfinite(z).all(axis=-1)
+    seen: NDArray[np.bool_] = np.all(np.isfinite(z), axis=-1)
     return np.where(seen[..., None], places + origin, np.nan), np.where(seen[..., None, None], covs, np.eye(A))

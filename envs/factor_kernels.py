@@ -1,8 +1,9 @@
 """Kernels of `jink/AdaptiveFactor-v0`: a decision, the two references it is measured against, and what is seen next.
 
 A row of `samples` is one sample of one target, a row of `memory` one target; columns are named below and shared with
-`adaptive_factor`. Reference and agent go through the same functions by address and through `math.hypot`, so that equal
-choices give equal bits.
+`adaptive_factor`. Samples of one time lie side by side, so that targets which step together are read in order; the
+other way round, half of a step was spent waiting for memory. Reference and agent go through the same functions by
+address and through `math.hypot`, so that equal choices give equal bits.
 """
 
 from __future__ import annotations
@@ -130,8 +131,8 @@ def _error(sample, state, A):
 
 @inner_kernel
 def _squash(value):
-    """``sign(x) ln(1 + |x|)`` within the bound."""
-    return math.copysign(min(math.log1p(abs(value)), BOUND), value)
+    """``x / (1 + |x| / 5)``: within the bound, and x itself near zero; a logarithm would cost twenty times as much."""
+    return value / (1.0 + abs(value) / BOUND) if abs(value) < math.inf else math.copysign(BOUND, value)
 
 
 @inner_kernel
@@ -145,7 +146,7 @@ def _look(filters, A, modes, state, sample, memory, params, actions, choice, sho
     z = sample[FIRST + A : FIRST + 2 * A]
     at, whole, scratch, R = 2 * A + 2, PLACE + 2 * A, work[_SCRATCH], work[_NOISE]
     d = _count(z, A)
-    log_nis, ratio, nis = 0.0, 0.0, 0.0
+    log_nis, share, nis = 0.0, 0.0, 0.0
     memory[MISSED] += 1.0
     for a in range(A):
         features[a] = 0.0
@@ -178,7 +179,7 @@ def _look(filters, A, modes, state, sample, memory, params, actions, choice, sho
                     features[a] = value
                     memory[whole + a] += (value - memory[whole + a]) / SHORT_SAMPLES
                     i += 1
-            ratio = 0.5 * math.log(above / below)
+            share = above / (above + below)
     memory[NIS] = nis if nis < math.inf else math.inf
     for a in range(A):
         features[A + a] = memory[whole + a]
@@ -187,7 +188,7 @@ def _look(filters, A, modes, state, sample, memory, params, actions, choice, sho
     features[at + 1] = memory[SHORT]
     features[at + 2] = memory[LONG]
     features[at + 3] = _squash(memory[MISSED])
-    features[at + 4] = _clip(ratio)
+    features[at + 4] = share
     at += 5
     for j in range(modes):
         features[at + j] = state[2 * A + 1, j]
@@ -204,18 +205,21 @@ def _reference(filters, A, kind, prior, noises, row, scalar, samples, params, se
     steps = samples.shape[0]
     state = work[_REFERENCE, : 4 * A + 3]
     total = 0.0
+    _load_noise(noises, row, 0, scalar, A, work[_NOISE])
     call_start(filters[0], prior, params, state)
     for k in range(steps - 1):
         sample = samples[k]
         z = sample[FIRST + A : FIRST + 2 * A]
         if _count(z, A) > 0:
-            _load_noise(noises, row, k, scalar, A, work[_NOISE])
+            if not scalar:
+                _load_noise(noises, row, k, False, A, work[_NOISE])
             call_innovate(filters[1], state, z, params, work[:11])
             _inflate(state, 1.0 if kind == 0 else sample[SCALE], A, work)
             call_update(filters[2], state, params, work[:11])
         error = _error(sample, state, A)
         sample[NOMINAL + kind] = error
-        total += _loss(error, sigma, settings[LOSS])
+        if not math.isnan(sample[FIRST]):
+            total += _loss(error, sigma, settings[LOSS])
         call_predict(filters[3], state, samples[k + 1, TIME] - sample[TIME], params, work[:11])
     return total
 
@@ -236,23 +240,27 @@ def _load(i, A, times, scale, intent, position, places, samples):
 @kernel
 def begin_rows(
     begin, end, rows, A, modes, actions, filters, params, settings, times, scale, intent, position, places, priors,
-    noises, scalar, states, samples, memory, features, work,
+    noises, scalar, states, episodes, samples, memory, features, work,
 ):  # fmt: skip
     """Targets ``rows[begin:end]`` start: both references run through the episode, then the first sample is seen."""
-    steps = samples.shape[1]
+    episode = episodes[min(begin, 1)]
+    steps = episode.shape[0]
     for i in range(begin, end):
         row = rows[i]
         mine = memory[row]
-        _load(i, A, times, scale, intent, position, places, samples[row])
+        _load(i, A, times, scale, intent, position, places, episode)
         mine[SIGMA] = _mean_sigma(noises, row, scalar, A, steps)
         gain = 0.0
         for kind in range(2):
             total = _reference(
-                filters, A, kind, priors[i], noises, row, scalar, samples[row], params, settings, mine[SIGMA], work
+                filters, A, kind, priors[i], noises, row, scalar, episode, params, settings, mine[SIGMA], work
             )
             gain += total if kind == 0 else -total
         mine[GAIN] = max(gain / (steps - 1), settings[FLOOR])
-        first = samples[row, 0]
+        for k in range(steps):
+            for column in range(episode.shape[1]):
+                samples[k, row, column] = episode[k, column]
+        first = episode[0]
         call_start(filters[0], priors[i], params, states[row])
         error = _error(first, states[row], A)
         for a in range(A):
@@ -271,7 +279,7 @@ def tell_rows(
 ):
     """What `AdaptiveFactorTask.info` returns."""
     for row in range(at.shape[0]):
-        sample, mine = samples[row, at[row]], memory[row]
+        sample, mine = samples[at[row], row], memory[row]
         time[row], scale[row], intent[row] = sample[TIME], sample[SCALE], int(sample[INTENT])
         detected[row], nis[row] = mine[MISSED] == 0.0, mine[NIS]
         agent[row], nominal[row], oracle[row] = mine[ERROR_AGENT], mine[ERROR_NOMINAL], mine[ERROR_ORACLE]
@@ -297,14 +305,15 @@ def step_rows(
     noises, scalar, states, samples, memory, features, reward, lost, work,
 ):  # fmt: skip
     """Targets ``begin`` to ``end`` that are live take their decision at sample ``at`` and see the next one."""
-    steps = samples.shape[1]
+    steps = samples.shape[0]
+    _load_noise(noises, begin, 0, scalar, A, work[_NOISE])
     for row in range(begin, end):
         reward[row] = 0.0
         lost[row] = False
         if not live[row]:
             continue
         k, mine, state = at[row], memory[row], states[row]
-        sample = samples[row, k]
+        sample = samples[k, row]
         d, used = _count(sample[FIRST + A : FIRST + 2 * A], A), inflations[row]
         if d > 0:
             if choices[row] < 0:
@@ -317,12 +326,14 @@ def step_rows(
         error = _error(sample, state, A)
         nominal = sample[NOMINAL]
         gained = _loss(nominal, mine[SIGMA], settings[LOSS]) - _loss(error, mine[SIGMA], settings[LOSS])
-        # Not min and max: an error that is no number must not earn the best reward.
         score = gained / mine[GAIN]
+        # Not min and max: an error that is no number must not earn the best reward.
         if not score > settings[LOWEST]:
             score = settings[LOWEST]
         score = min(score, settings[HIGHEST])
-        if error <= settings[LOST_AFTER] * max(mine[SIGMA], nominal):
+        if math.isnan(sample[FIRST]):
+            score = 0.0
+        elif error <= settings[LOST_AFTER] * max(mine[SIGMA], nominal):
             mine[STREAK] = 0.0
         else:
             mine[STREAK] += 1.0
@@ -337,10 +348,9 @@ def step_rows(
             mine[PLACE + a] = sample[FIRST + a]
             mine[PLACE + A + a] = state[0, a]
             sample[FIRST + 2 * A + a] = state[0, a]
-        after = samples[row, k + 1]
+        after = samples[k + 1, row]
         call_predict(filters[3], state, after[TIME] - sample[TIME], params, work[:11])
-        _load_noise(noises, row, k + 1, scalar, A, work[_NOISE])
+        if not scalar:
+            _load_noise(noises, row, k + 1, False, A, work[_NOISE])
         shown = math.log(inflations[row]) / math.log(1e6) * 2.0 - 1.0 if actions == 0 else 0.0
-        _look(
-            filters, A, modes, state, after, mine, params, actions, choices[row], shown, work, features[row]
-        )
+        _look(filters, A, modes, state, after, mine, params, actions, choices[row], shown, work, features[row])

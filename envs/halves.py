@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -16,19 +17,26 @@ __all__ = ["in_halves"]
 _WORTH_IT = 256
 """Rows from which handing half of them to a second thread gains more than it costs."""
 _pools: dict[int, ThreadPoolExecutor] = {}
+_own = threading.local()
 
 
 def in_halves(kernel: Callable[..., Any], count: int, *arguments: Any) -> None:
     """``kernel(begin, end, *arguments, work)`` over all rows, each thread with scratch of its own."""
     if count < _WORTH_IT or _cores() < 2:
-        kernel(0, count, *arguments, np.zeros((WORK, 16, 8)))
+        _run(kernel, 0, count, arguments)
         return
     # Keyed by process: a forked child inherits the pool but not its thread.
     pool = _pools.setdefault(os.getpid(), ThreadPoolExecutor(1, "jink-rows"))
     half = count // 2
-    other = pool.submit(kernel, half, count, *arguments, np.zeros((WORK, 16, 8)))
-    kernel(0, half, *arguments, np.zeros((WORK, 16, 8)))
+    other = pool.submit(_run, kernel, half, count, arguments)
+    _run(kernel, 0, half, arguments)
     other.result()
+
+
+def _run(kernel: Callable[..., Any], begin: int, end: int, arguments: tuple[Any, ...]) -> None:
+    if not hasattr(_own, "work"):
+        _own.work = np.zeros((WORK, 16, 8))
+    kernel(begin, end, *arguments, _own.work)
 
 
 def _cores() -> int:

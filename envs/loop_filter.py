@@ -18,14 +18,16 @@ The state has 4 A + 3 rows of eight columns. Whatever the filter, these rows hol
 | 2 A + 3 to 3 A + 2 | covariance of the predicted measurement, H P H' (after `innovate`) |
 | 3 A + 3 to 4 A + 2 | the noise that the factor is to adapt: R, or the robust filter's R^ (after `innovate`) |
 
-A missing measurement skips `innovate` and `update`. `work` is (11, 16, 8); beyond ``work[1]`` it is scratch. A filter
-that needs more (a bank, a network) can keep it in arrays of its own and its number in the memory row.
+A missing measurement skips `innovate` and `update`. `work` is (11, 16, 8): ``work[0]`` stays as it is, what comes after
+``work[1]`` is scratch. A filter that needs more (a bank, a network) can keep it in arrays of its own and its number in
+the memory row.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numba import types
@@ -159,7 +161,9 @@ def make_loop_filter(loop_filter: str | LoopFilter, axes: int) -> LoopFilter:
     Raises:
         ValueError: unknown name, or a filter for another number of axes.
     """
-    found = LOOP_FILTERS[loop_filter](axes) if isinstance(loop_filter, str) and loop_filter in LOOP_FILTERS else loop_filter
+    found: Any = loop_filter
+    if isinstance(loop_filter, str) and loop_filter in LOOP_FILTERS:
+        found = LOOP_FILTERS[loop_filter](axes)
     if not isinstance(found, LoopFilter):
         raise ValueError(
             f"make: loop_filter must be one of {', '.join(LOOP_FILTERS)} or a LoopFilter; got {loop_filter!r}. "

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from jink.envs.manoeuvring_target import ManoeuvringTargetTask
 from jink.estimators.api import BankEstimator
-from jink.estimators.cycle import State
 from jink.estimators.starting import start_prior
 
 __all__ = ["EstimatorPolicy"]
@@ -82,7 +81,7 @@ class _Memory:
         self.forget()
 
     def forget(self) -> None:
-        self.state: State | None = None
+        self.state: Any = None
         self.rows: list[tuple[Array, Array]] = []
         self.times: list[float] = []
         self.origin = np.zeros(1)

@@ -21,7 +21,7 @@ TaskFactory = Callable[[Source, int], Task]
 """``factory(source, count)``: a task of that many targets."""
 Mask = NDArray[np.bool_]
 _LIVE = np.ones(1, dtype=np.bool_)
-_CHUNK = 4096
+_CHUNK = 512
 """Episodes simulated at once: what they need beyond what the task keeps is bounded."""
 
 

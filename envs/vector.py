@@ -202,12 +202,14 @@ class TargetVectorEnv(VectorEnv[NDArray[Any], Any, NDArray[Any]]):
 def with_masks(info: dict[str, NDArray[Any]], mask: NDArray[np.bool_] | None = None) -> Infos:
     """Gymnasium's layout: every array beside ``_name``, who has it; zeros for those who have not."""
     infos: Infos = {}
+    if mask is None:
+        masks = np.ones((len(info), len(next(iter(info.values()), ()))), dtype=np.bool_)
+        for (name, value), row in zip(info.items(), masks, strict=True):
+            infos[name], infos[f"_{name}"] = value, row
+        return infos
     for name, value in info.items():
-        if mask is None:
-            infos[name], infos[f"_{name}"] = value, np.ones(len(value), dtype=np.bool_)
-        else:
-            value[~mask] = 0
-            infos[name], infos[f"_{name}"] = value, mask.copy()
+        value[~mask] = 0
+        infos[name], infos[f"_{name}"] = value, mask.copy()
     return infos
 
 
