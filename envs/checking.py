@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import gymnasium
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
-from jink.envs.mode_checks import MODE_CHECKS
-from jink.envs.playing import Failed, Skipped, Subject
-from jink.envs.vector_checks import CHECKS
+from jink.envs.conformance.mode_checks import MODE_CHECKS
+from jink.envs.conformance.playing import Failed, Skipped, Subject
+from jink.envs.conformance.vector_checks import CHECKS
 
 if TYPE_CHECKING:
     from rich.console import Console

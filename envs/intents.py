@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from jink.envs.compiled import inner_kernel
-from jink.envs.dwells import SHORTEST, Dwell
-from jink.envs.intent_rules import (
+from jink.envs.flight.dwells import SHORTEST, Dwell
+from jink.envs.flight.intent_rules import (
     ALTITUDE,
     CEILING,
     FLOOR,
@@ -33,7 +33,7 @@ from jink.envs.intent_rules import (
     wish,
     within,
 )
-from jink.envs.legs import MAX_AMPLITUDE
+from jink.envs.flight.legs import MAX_AMPLITUDE
 from jink.estimators.compiled import Callback
 
 __all__ = [

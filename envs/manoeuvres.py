@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jink.envs.flying import START_DRAWS, VISIT_DRAWS, fly
-from jink.envs.intent_rules import GRAVITY, Intent
-from jink.envs.limits import Limits, Start
+from jink.envs.flight.flying import START_DRAWS, VISIT_DRAWS, fly
+from jink.envs.flight.intent_rules import GRAVITY, Intent
+from jink.envs.flight.limits import Limits, Start
 from jink.envs.streams import Draws, Need
 from jink.envs.truth import Truth
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jink.envs.flight.model_error import ModelError
+from jink.envs.flight.plant_steps import ACCELERATION, VELOCITY, run_plant
 from jink.envs.manoeuvres import check_times
-from jink.envs.model_error import ModelError
-from jink.envs.plant_steps import ACCELERATION, VELOCITY, run_plant
 from jink.envs.streams import Draws, Need
 from jink.envs.truth import Truth
 

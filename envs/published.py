@@ -11,10 +11,10 @@ import math
 
 import numpy as np
 
-from jink.envs.published_jump import JumpScenario
-from jink.envs.published_legs import Leg, LegScenario
-from jink.envs.published_truth import PublishedValue, Scenario
-from jink.envs.published_uncertain import UncertainSystem
+from jink.envs.literature.published_jump import JumpScenario
+from jink.envs.literature.published_legs import Leg, LegScenario
+from jink.envs.literature.published_truth import PublishedValue, Scenario
+from jink.envs.literature.published_uncertain import UncertainSystem
 
 DEGREE = math.pi / 180.0
 

@@ -18,11 +18,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from jink.envs.cells import numbers, seconds, words
-from jink.envs.columns import AXES, Choice, choose_columns
-from jink.envs.measured import Rows, measured_rows
-from jink.envs.tables import Table, load, open_table
-from jink.envs.truth_file import interpolate_truth
+from jink.envs.reading.cells import numbers, seconds, words
+from jink.envs.reading.columns import AXES, Choice, choose_columns
+from jink.envs.reading.measured import Rows, measured_rows
+from jink.envs.reading.tables import Table, load, open_table
+from jink.envs.reading.truth_file import interpolate_truth
 from jink.estimators.tracks import Tracks
 
 __all__ = ["read_tracks"]
@@ -49,7 +49,7 @@ def read_tracks(
 ) -> Tracks:
     """Read the tracks of one file; all of it or nothing.
 
-    Columns are recognised by name (`jink.envs.columns`) unless mapped; `notes` of the result says what was
+    Columns are recognised by name (`jink.envs.reading.columns`) unless mapped; `notes` of the result says what was
     chosen. Tracks may be interleaved; equal times are allowed. Files with both metres and degrees are read
     in metres.
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from jink.envs.episodes import Episodes
 from jink.envs.observing import nominal_sigma
+from jink.envs.reading.recorded_choice import TRUTHS, choose_sensor, choose_truth, intent_names
+from jink.envs.reading.recorded_rows import TruthRows, find_windows, mean_acceleration_density, truth_rows
 from jink.envs.recorded import read_tracks
-from jink.envs.recorded_choice import TRUTHS, choose_sensor, choose_truth, intent_names
-from jink.envs.recorded_rows import TruthRows, find_windows, mean_acceleration_density, truth_rows
 from jink.envs.sensing import Sensing
 from jink.envs.streams import STREAMS, Need, Streams, draw
 from jink.envs.surges import Surge

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jink.envs.drawing import INK, UNKNOWN, Box, Canvas, intent_colours, load_pygame
-from jink.envs.map_panel import draw_map
-from jink.envs.side_panel import draw_side
-from jink.envs.strip_panels import (
+from jink.envs.drawing.canvas import INK, UNKNOWN, Box, Canvas, intent_colours, load_pygame
+from jink.envs.drawing.map_panel import draw_map
+from jink.envs.drawing.side_panel import draw_side
+from jink.envs.drawing.strip_panels import (
     Clock,
     draw_actions,
     draw_altitude,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jink.envs.model_error import ModelError
+from jink.envs.flight.model_error import ModelError
 from jink.envs.plants import check_draws, run_error_plant
 from jink.envs.streams import Draws, Need
 

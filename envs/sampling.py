@@ -13,8 +13,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from jink.envs.noise.spans import check_between, check_positive
 from jink.envs.sensing_laws import poisson_gaps
-from jink.envs.spans import check_between, check_positive
 from jink.envs.streams import Draws, Need
 
 __all__ = ["SAMPLINGS", "TICK", "Irregular", "Jittered", "Regular", "Sampling", "make_sampling"]

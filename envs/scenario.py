@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from jink.envs.episodes import Episodes
-from jink.envs.overrides import override, parameters
+from jink.envs.library.overrides import override, parameters
+from jink.envs.noise.spans import check_positive
 from jink.envs.sampling import Sampling, make_sampling
 from jink.envs.sensing import Sensing
 from jink.envs.simulate import simulate
-from jink.envs.spans import check_positive
 from jink.envs.streams import Streams
 from jink.envs.surge import Surge
 from jink.envs.surges import make_surge

@@ -5,8 +5,8 @@ from __future__ import annotations
 import difflib
 from typing import Any
 
-from jink.envs.linear_scenarios import LINEAR
-from jink.envs.manoeuvring_scenarios import MANOEUVRING
+from jink.envs.library.linear_scenarios import LINEAR
+from jink.envs.library.manoeuvring_scenarios import MANOEUVRING
 from jink.envs.scenario import Scenario
 
 __all__ = ["SCENARIOS", "SUITES", "Scenario", "make_scenario"]

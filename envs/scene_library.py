@@ -11,17 +11,17 @@ import difflib
 import math
 from dataclasses import replace
 
-from jink.envs.dwells import Dwell
+from jink.envs.flight.dwells import Dwell
+from jink.envs.flight.limits import Limits, Start
 from jink.envs.intents import Straight, Turn, Weave
-from jink.envs.limits import Limits, Start
+from jink.envs.literature.published_legs import Leg
 from jink.envs.manoeuvres import Manoeuvres
 from jink.envs.networks import consensus_network, geometric
-from jink.envs.paths import Path
 from jink.envs.plants import LinearPlant
 from jink.envs.published import ATC_TURNS, DEGREE
-from jink.envs.published_legs import Leg
-from jink.envs.regions import Box, Sector
-from jink.envs.scene_sensors import SceneSensor
+from jink.envs.scenery.paths import Path
+from jink.envs.scenery.regions import Box, Sector
+from jink.envs.scenery.scene_sensors import SceneSensor
 from jink.envs.scenes import Scene, SceneTarget
 
 __all__ = ["CLUTTER_LEVELS", "SCENES", "get_scene"]

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jink.envs.networks import Network
-from jink.envs.scene_data import SceneData, SceneTruth
-from jink.envs.scene_sensors import SceneSensor
+from jink.envs.scenery.scene_data import SceneData, SceneTruth
+from jink.envs.scenery.scene_sensors import SceneSensor
 from jink.envs.streams import draw
 from jink.envs.truth import Motion
 

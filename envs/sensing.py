@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jink.envs.noise.spans import check_between, check_positive
 from jink.envs.sensing_laws import carry, see
-from jink.envs.spans import check_between, check_positive
 from jink.envs.streams import Draws, Need
 from jink.envs.truth import Truth
 from jink.estimators.sensor import Sensor

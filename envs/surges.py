@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from jink.envs.biases import BiasDrift, BiasWalk
-from jink.envs.bursts import Dropouts, Glint, MarkovBursts, PlacedBursts, Ramp
-from jink.envs.heavy_tails import Contaminated, HeavyTails, IsolatedOutliers
+from jink.envs.noise.biases import BiasDrift, BiasWalk
+from jink.envs.noise.bursts import Dropouts, Glint, MarkovBursts, PlacedBursts, Ramp
+from jink.envs.noise.heavy_tails import Contaminated, HeavyTails, IsolatedOutliers
 from jink.envs.surge import Surge
 
 __all__ = [

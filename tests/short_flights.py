@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from jink.envs.dwells import Dwell
+from jink.envs.flight.dwells import Dwell
+from jink.envs.flight.limits import Limits, Start
 from jink.envs.intents import INTENTS
-from jink.envs.limits import Limits, Start
 from jink.envs.manoeuvres import Manoeuvres
 from jink.envs.streams import Draws
 

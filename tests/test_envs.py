@@ -17,7 +17,7 @@ from gymnasium.utils.env_checker import check_env
 from straight_source import Straight
 
 import jink.envs
-from jink.envs.comparing import difference
+from jink.envs.conformance.comparing import difference
 from jink.envs.evaluating import evaluate
 from jink.envs.manoeuvring_target import CAP
 from jink.envs.mixture import Mixture

@@ -19,7 +19,13 @@ LAYERS = ("estimators", "intent", "envs", "training")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 SOURCES = sorted(path for layer in LAYERS for path in (ROOT / layer).rglob("*.py"))
 # Distributions whose import name is not their own name.
-IMPORT_NAMES = {"stable_baselines3": "stable-baselines3", "pygame": "pygame-ce", "llvmlite": "numba", "PIL": "pillow", "imageio_ffmpeg": "imageio-ffmpeg"}
+IMPORT_NAMES = {
+    "stable_baselines3": "stable-baselines3",
+    "pygame": "pygame-ce",
+    "llvmlite": "numba",
+    "PIL": "pillow",
+    "imageio_ffmpeg": "imageio-ffmpeg",
+}
 
 
 def module_name(path: Path) -> str:

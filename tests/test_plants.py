@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from jink.envs.model_error import ModelError
+from jink.envs.flight.model_error import ModelError
 from jink.envs.plants import LinearPlant, uncertain_plant
 from jink.envs.robust_example import ROBUST_EXAMPLE, robust_example_need, simulate_robust_example
 from jink.envs.streams import Draws

@@ -13,8 +13,8 @@ import pytest
 import reference_imm as reference
 from scipy.linalg import solve_discrete_are
 
+from jink.envs.literature.published_legs import Leg
 from jink.envs.published import ATC_TURNS, JUMP_LINEAR, SCENARIOS, UNCERTAIN, get_scenario
-from jink.envs.published_legs import Leg
 
 DEGREE = np.pi / 180
 RECORDED = Path(os.environ.get("JINK_DATA", Path(__file__).parents[2] / "shared" / "data")) / "published_scenarios"

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from jink.envs.columns import parse_columns
 from jink.envs.estimates_file import write_estimates
-from jink.envs.geodesy import Origin, earth_fixed, to_local
+from jink.envs.reading.columns import parse_columns
+from jink.envs.reading.geodesy import Origin, earth_fixed, to_local
 from jink.envs.recorded import read_tracks
 from jink.estimators.sensors import make_sensor
 from jink.estimators.tracks import Tracks

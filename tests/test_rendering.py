@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from gymnasium.error import DependencyNotInstalled
 
-from jink.envs import drawing
-from jink.envs.drawing import FAINT, INK, PAPER, SURGE, Canvas, fade, intent_colours
-from jink.envs.map_panel import draw_map, grid_step, metres, ring_radius
+from jink.envs.drawing import drawing
+from jink.envs.drawing.canvas import FAINT, INK, PAPER, SURGE, Canvas, fade, intent_colours
+from jink.envs.drawing.map_panel import draw_map, grid_step, metres, ring_radius
+from jink.envs.drawing.strip_panels import Clock, draw_actions, draw_altitude, draw_intents, draw_noise, last_choice
+from jink.envs.drawing.viewing import grow, round_down, span, ticks, view_of, worth_showing
 from jink.envs.rendering import Renderer
-from jink.envs.strip_panels import Clock, draw_actions, draw_altitude, draw_intents, draw_noise, last_choice
 from jink.envs.task import Picture
-from jink.envs.viewing import grow, round_down, span, ticks, view_of, worth_showing
 
 pygame = pytest.importorskip("pygame", reason="needs pip install 'jink[render]'")
 

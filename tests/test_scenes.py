@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 from jink.envs import scenes
+from jink.envs.literature.published_legs import Leg
 from jink.envs.networks import (
     CONSENSUS_SENSING,
     Network,
@@ -21,13 +22,12 @@ from jink.envs.networks import (
     ring,
     second_eigenvalue,
 )
-from jink.envs.paths import Path
-from jink.envs.published_legs import Leg
 from jink.envs.recorded import read_tracks
-from jink.envs.regions import Box, Sector
-from jink.envs.scene_data import CLUTTER, PADDING
 from jink.envs.scene_library import SCENES, get_scene
-from jink.envs.scene_sensors import SceneSensor
+from jink.envs.scenery.paths import Path
+from jink.envs.scenery.regions import Box, Sector
+from jink.envs.scenery.scene_data import CLUTTER, PADDING
+from jink.envs.scenery.scene_sensors import SceneSensor
 from jink.envs.scenes import Scene, SceneTarget, simulate_scene
 from jink.envs.streams import draw
 

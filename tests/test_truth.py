@@ -10,8 +10,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from short_flights import HEADING, LASTS, SPEED, draws, fly, in_all_ways, one
 
-from jink.envs.dwells import Dwell
-from jink.envs.intent_rules import GRAVITY, PLAN, Intent, swing, wish, within
+from jink.envs.flight.dwells import Dwell
+from jink.envs.flight.intent_rules import GRAVITY, PLAN, Intent, swing, wish, within
+from jink.envs.flight.limits import Limits, Start
 from jink.envs.intents import (
     INTENTS,
     Accelerate,
@@ -25,7 +26,6 @@ from jink.envs.intents import (
     Weave,
     make_intent,
 )
-from jink.envs.limits import Limits, Start
 from jink.envs.manoeuvres import Manoeuvres
 from jink.envs.streams import Draws
 from jink.estimators.compiled import Callback

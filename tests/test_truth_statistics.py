@@ -7,10 +7,10 @@ import pytest
 from scipy import stats
 from short_flights import HEADING, LASTS, SPEED, fly, one
 
-from jink.envs.dwells import Dwell
-from jink.envs.intent_rules import GRAVITY
+from jink.envs.flight.dwells import Dwell
+from jink.envs.flight.intent_rules import GRAVITY
+from jink.envs.flight.limits import Start
 from jink.envs.intents import Accelerate, Climb, Helix, Jink, Orbit, StopAndGo, Straight, Turn, Weave, make_intent
-from jink.envs.limits import Start
 from jink.envs.manoeuvres import Manoeuvres
 
 

@@ -15,7 +15,7 @@ from rich.console import Console
 from straight_source import Straight
 
 from jink.envs.checking import Check, Report, check_vector_env, print_check
-from jink.envs.comparing import difference, rows_of
+from jink.envs.conformance.comparing import difference, rows_of
 from jink.envs.evaluating import evaluate
 from jink.envs.policies import EstimatorPolicy
 from jink.envs.single import TargetEnv

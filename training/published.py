@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jink.envs.literature.published_truth import PublishedValue, ScenarioData
 from jink.envs.published import SCENARIOS, UNCERTAIN
-from jink.envs.published_truth import PublishedValue, ScenarioData
 from jink.estimators.api import Estimates
 from jink.estimators.bounds import mismatched_errors, steady_kf
 from jink.estimators.recipes import RECIPES

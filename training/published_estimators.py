@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jink.envs.literature.published_truth import ScenarioData
 from jink.envs.published import JUMP_LINEAR, UNCERTAIN
-from jink.envs.published_truth import ScenarioData
 from jink.estimators.api import BankEstimator, Estimates
 from jink.estimators.bank import Bank, Mode
 from jink.estimators.inputs import Prior

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jink.envs.columns import parse_columns
 from jink.envs.estimates_file import write_estimates
+from jink.envs.reading.columns import parse_columns
 from jink.envs.recorded import read_tracks
 from jink.estimators.metrics import errors, summary
 from jink.estimators.sensor import Sensor

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from jink.envs.cells import numbers, seconds, words
-from jink.envs.columns import AXES, choose_columns
-from jink.envs.geodesy import Origin
-from jink.envs.measured import measured_rows
-from jink.envs.tables import load, open_table
+from jink.envs.reading.cells import numbers, seconds, words
+from jink.envs.reading.columns import AXES, choose_columns
+from jink.envs.reading.geodesy import Origin
+from jink.envs.reading.measured import measured_rows
+from jink.envs.reading.tables import load, open_table
 
 Floats = NDArray[np.float64]
 

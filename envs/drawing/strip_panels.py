@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from jink.envs.drawing import FAINT, GREY, INK, LINE, PAPER, SURGE, Box, Canvas, Colour, fade
-from jink.envs.map_panel import DOT, metres, thinned
+from jink.envs.drawing.canvas import FAINT, GREY, INK, LINE, PAPER, SURGE, Box, Canvas, Colour, fade
+from jink.envs.drawing.map_panel import DOT, metres, thinned
+from jink.envs.drawing.viewing import NOMINAL, grow, span, ticks
 from jink.envs.task import Picture
-from jink.envs.viewing import NOMINAL, grow, span, ticks
 
 __all__ = [
     "Clock",

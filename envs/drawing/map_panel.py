@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from jink.envs.drawing import FAINT, GREY, INK, LINE, PAPER, Box, Canvas, Colour, fade
+from jink.envs.drawing.canvas import FAINT, GREY, INK, LINE, PAPER, Box, Canvas, Colour, fade
+from jink.envs.drawing.viewing import NOMINAL, View, round_down, view_of
 from jink.envs.task import Picture
-from jink.envs.viewing import NOMINAL, View, round_down, view_of
 
 __all__ = ["DOT", "SIGMAS", "draw_map", "grid_step", "last_estimate", "metres", "ring_radius", "thinned", "triangle"]
 

@@ -11,8 +11,8 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector as wrappers
 
-from jink.envs.comparing import arrays_of, difference, rows_of
-from jink.envs.playing import Env, Failed, Mode, Skipped, Subject, mode_of, play, same_play
+from jink.envs.conformance.comparing import arrays_of, difference, rows_of
+from jink.envs.conformance.playing import Env, Failed, Mode, Skipped, Subject, mode_of, play, same_play
 
 __all__ = ["MODE_CHECKS"]
 

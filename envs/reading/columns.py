@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from typing import NamedTuple, NoReturn
 
-from jink.envs.column_names import (
+from jink.envs.reading.column_names import (
     AXES,
     BEARING_NAMES,
     ELEVATION_NAMES,
@@ -24,7 +24,7 @@ from jink.envs.column_names import (
     check_name,
     parse_columns,
 )
-from jink.envs.tables import Table
+from jink.envs.reading.tables import Table
 from jink.estimators.sensors import SENSORS
 
 __all__ = ["AXES", "Choice", "choose_columns", "parse_columns"]

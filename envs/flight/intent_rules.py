@@ -15,7 +15,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from jink.envs.compiled import inner_kernel
-from jink.envs.dwells import Dwell
+from jink.envs.flight.dwells import Dwell
 from jink.estimators import compiled
 from jink.estimators.compiled import Callback
 

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import concatenate, create_empty_array
 
-from jink.envs.comparing import difference
+from jink.envs.conformance.comparing import difference
 
 __all__ = ["Env", "Failed", "Mode", "Skipped", "Subject", "batch_actions", "mode_of", "play", "same_play"]
 

@@ -7,7 +7,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jink.envs.published_truth import Array, PublishedValue, check_number, check_shape, freeze
+from jink.envs.literature.published_truth import Array, PublishedValue, check_number, check_shape, freeze
 
 
 @dataclass(frozen=True, eq=False)

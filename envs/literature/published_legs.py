@@ -7,7 +7,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from jink.envs.published_truth import (
+from jink.envs.literature.published_truth import (
     Array,
     PublishedValue,
     ScenarioData,

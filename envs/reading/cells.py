@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from jink.envs.tables import Table, is_number
+from jink.envs.reading.tables import Table, is_number
 
 MISSING_WORDS = ("", "nan", "-nan", "na", "n/a", "null", "none")
 

@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from jink.envs.drawing import GREY, INK, Box, Canvas, Colour, fade
-from jink.envs.map_panel import DOT, SIGMAS, grid_step, last_estimate, metres, ring_radius, triangle
-from jink.envs.strip_panels import intent_name
+from jink.envs.drawing.canvas import GREY, INK, Box, Canvas, Colour, fade
+from jink.envs.drawing.map_panel import DOT, SIGMAS, grid_step, last_estimate, metres, ring_radius, triangle
+from jink.envs.drawing.strip_panels import intent_name
+from jink.envs.drawing.viewing import View
 from jink.envs.task import Picture
-from jink.envs.viewing import View
 
 __all__ = ["draw_side"]
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from jink.envs.library.named_targets import AIRCRAFT, AIRLINER, CAR, DRONE, FIGHTER, LOITERER, RACER, ROBOT, SHIP
 from jink.envs.manoeuvres import Manoeuvres
-from jink.envs.named_targets import AIRCRAFT, AIRLINER, CAR, DRONE, FIGHTER, LOITERER, RACER, ROBOT, SHIP
 from jink.envs.sampling import Irregular, Jittered, Regular
 from jink.envs.scenario import Scenario
 from jink.envs.sensing import Platform, Sensing

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jink.envs.regions import Region, Sector
+from jink.envs.scenery.regions import Region, Sector
 from jink.estimators.sensor import Sensor
 from jink.estimators.sensors import make_sensor
 

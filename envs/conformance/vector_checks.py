@@ -9,8 +9,8 @@ from multiprocessing.reduction import ForkingPickler
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from jink.envs.comparing import difference, rows_of
-from jink.envs.playing import Failed, Skipped, Subject, batch_actions, mode_of, play, same_play
+from jink.envs.conformance.comparing import difference, rows_of
+from jink.envs.conformance.playing import Failed, Skipped, Subject, batch_actions, mode_of, play, same_play
 
 __all__ = ["CHECKS"]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jink.envs.published_legs import Leg
+from jink.envs.literature.published_legs import Leg
 from jink.envs.streams import Draws, Need
 from jink.envs.truth import Array, Truth
 

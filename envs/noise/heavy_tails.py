@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from jink.envs import surge_laws
-from jink.envs.spans import Level, check_between, check_level, check_positive, level_of
+from jink.envs.noise import surge_laws
+from jink.envs.noise.spans import Level, check_between, check_level, check_positive, level_of
 from jink.envs.streams import Need
 from jink.envs.surge import CompiledSurge
 

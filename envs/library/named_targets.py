@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from jink.envs.dwells import Dwell
+from jink.envs.flight.dwells import Dwell
+from jink.envs.flight.limits import Limits, Start
 from jink.envs.intents import Accelerate, Climb, Helix, Jink, Orbit, StopAndGo, Straight, Turn, Weave
-from jink.envs.limits import Limits, Start
 from jink.envs.manoeuvres import Manoeuvres
 
 __all__ = ["AIRCRAFT", "AIRLINER", "CAR", "DRONE", "FIGHTER", "LOITERER", "RACER", "ROBOT", "SHIP"]

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from jink.envs.compiled import entry_kernel, inner_kernel
-from jink.envs.dwells import draw_dwell
-from jink.envs.intent_rules import (
+from jink.envs.flight.dwells import draw_dwell
+from jink.envs.flight.intent_rules import (
     ALTITUDE,
     LEFT,
     MAX_CLIMB,
@@ -21,10 +21,10 @@ from jink.envs.intent_rules import (
     between,
     call_plan,
 )
-from jink.envs.intent_rules import CLIMB as NOW_CLIMB
-from jink.envs.intent_rules import HEADING as NOW_HEADING
-from jink.envs.intent_rules import SPEED as NOW_SPEED
-from jink.envs.legs import (
+from jink.envs.flight.intent_rules import CLIMB as NOW_CLIMB
+from jink.envs.flight.intent_rules import HEADING as NOW_HEADING
+from jink.envs.flight.intent_rules import SPEED as NOW_SPEED
+from jink.envs.flight.legs import (
     ACCELERATION,
     AMPLITUDE,
     CLIMB,

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jink.envs.cells import numbers
-from jink.envs.columns import AXES, Choice
-from jink.envs.geodesy import Origin, to_local
-from jink.envs.tables import Table
+from jink.envs.reading.cells import numbers
+from jink.envs.reading.columns import AXES, Choice
+from jink.envs.reading.geodesy import Origin, to_local
+from jink.envs.reading.tables import Table
 
 Floats = NDArray[np.float64]
 

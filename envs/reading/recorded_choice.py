@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jink.envs.recorded_rows import TruthRows, residual_sigma
+from jink.envs.reading.recorded_rows import TruthRows, residual_sigma
 from jink.envs.sensing import Sensing
 from jink.estimators.sensor import Sensor
 from jink.estimators.sensors import make_sensor, position

@@ -1,0 +1,1 @@
+"""Parts of the conformance test of vector environments."""

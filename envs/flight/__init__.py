@@ -1,0 +1,1 @@
+"""How a target flies: legs, dwell times, limits, plants."""

@@ -1,0 +1,1 @@
+"""How a surge is drawn: laws and their checks."""

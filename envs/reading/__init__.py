@@ -1,0 +1,1 @@
+"""Parts of the track reader: columns, cells, places, truth files."""

@@ -1,0 +1,1 @@
+"""Parts of a multi-target scene: sensors, regions, paths, data."""
