@@ -151,6 +151,7 @@ class AdaptiveFactorTask:
         self._memory = np.zeros((B, kernels.PLACE + 3 * A))
         self._features = np.zeros((B, self.observation_space.shape[0]), dtype=np.float32)
         self._noises = np.zeros((1, 1, A * A))
+        self._ones = np.ones(B)
         self._sensor_places = np.zeros((B, A))
         self._one_noise = True
         self._look_up()
@@ -192,7 +193,9 @@ class AdaptiveFactorTask:
                 f"Give the number of a factor: {_listed(self.factors)}."
             )
         chosen = array.astype(np.int64)
-        if chosen.view(np.uint64).max() >= len(self.factors):  # a negative number is a huge one
+        # Seen as unsigned, a negative number is a huge one; a reduction costs ten times as much as one item.
+        largest = chosen.view(np.uint64).item(0) if self.count == 1 else chosen.view(np.uint64).max()
+        if largest >= len(self.factors):
             row = int(np.argmax((array < 0) | (array >= len(self.factors))))
             raise ValueError(
                 f"{caller}: action must be 0 .. {len(self.factors) - 1}; got {array[row]} for target {row}. "
@@ -233,7 +236,7 @@ class AdaptiveFactorTask:
             chosen = np.full(self.count, -1)
             inflations = np.exp((0.5 * LARGEST_LOG_INFLATION) * (actions[:, 0] + 1.0))
         else:
-            chosen, inflations = actions, np.ones(self.count)
+            chosen, inflations = actions, self._ones
         reward, lost = np.empty(self.count), np.empty(self.count, dtype=np.bool_)
         in_halves(
             kernels.step_rows, self.count, live, k, chosen, inflations, A, modes, choices, self._filters,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.error import DependencyNotInstalled
 
-from jink.envs.drawing import drawing
+from jink.envs.drawing import canvas as drawing
 from jink.envs.drawing.canvas import FAINT, INK, PAPER, SURGE, Canvas, fade, intent_colours
 from jink.envs.drawing.map_panel import draw_map, grid_step, metres, ring_radius
 from jink.envs.drawing.strip_panels import Clock, draw_actions, draw_altitude, draw_intents, draw_noise, last_choice
