@@ -268,6 +268,24 @@ class AdaptiveFactorTask:
         kernels.tell_rows(k, A, self._samples, self._memory, *told.values())
         return told
 
+    def info_alone(self, k: int) -> dict[str, Any]:
+        """`info` of a single target, as plain numbers: one target is told in a fifth of the time."""
+        sample, mine = self._samples[k, 0, : kernels.FIRST].tolist(), self._memory[0, : kernels.PLACE].tolist()
+        A, place = self.source.axes, kernels.PLACE
+        return {
+            "time": sample[kernels.TIME],
+            "noise_scale": sample[kernels.SCALE],
+            "intent": int(sample[kernels.INTENT]),
+            "detected": mine[kernels.MISSED] == 0.0,
+            "nis": mine[kernels.NIS],
+            "error_agent": mine[kernels.ERROR_AGENT],
+            "error_nominal": mine[kernels.ERROR_NOMINAL],
+            "error_oracle": mine[kernels.ERROR_ORACLE],
+            "inflation": mine[kernels.INFLATION],
+            "position": self._memory[0, place : place + A].copy(),
+            "estimate": self._memory[0, place + A : place + 2 * A].copy(),
+        }
+
     def picture(self, row: int, k: int) -> Picture:
         """Everything up to sample ``k`` of one target."""
         A, c = self.source.axes, kernels.FIRST

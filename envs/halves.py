@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
 from jink.envs.factor_kernels import WORK
 
-__all__ = ["in_halves"]
+__all__ = ["in_background", "in_halves"]
 
 _WORTH_IT = 256
 """Rows from which handing half of them to a second thread gains more than it costs."""
@@ -25,12 +25,22 @@ def in_halves(kernel: Callable[..., Any], count: int, *arguments: Any) -> None:
     if count < _WORTH_IT or _cores() < 2:
         _run(kernel, 0, count, arguments)
         return
-    # Keyed by process: a forked child inherits the pool but not its thread.
-    pool = _pools.setdefault(os.getpid(), ThreadPoolExecutor(1, "jink-rows"))
     half = count // 2
-    other = pool.submit(_run, kernel, half, count, arguments)
+    other = _pool().submit(_run, kernel, half, count, arguments)
     _run(kernel, 0, half, arguments)
     other.result()
+
+
+def in_background(function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+    """``function(*arguments)`` in the second thread; it must not wait for that thread itself."""
+    return _pool().submit(function, *arguments)
+
+
+def _pool() -> ThreadPoolExecutor:
+    process = os.getpid()  # a forked child inherits the pool but not its thread
+    if process not in _pools:
+        _pools[process] = ThreadPoolExecutor(1, "jink-rows")
+    return _pools[process]
 
 
 def _run(kernel: Callable[..., Any], begin: int, end: int, arguments: tuple[Any, ...]) -> None:

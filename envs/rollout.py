@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Sequence
+from itertools import zip_longest
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from jink.envs.episodes import Source
+from jink.envs.halves import in_background
 from jink.envs.streams import Streams, make_streams
 from jink.envs.task import Rows, Task
 
@@ -106,9 +108,12 @@ class Rollout:
     def begin(self, rows: Rows) -> None:
         """Rows ``rows`` start their next episode, each drawn as one block from the row's own streams."""
         steps = self.source.steps
-        for begin in range(0, len(rows), _CHUNK):
-            part = rows[begin : begin + _CHUNK]
-            self.task.begin(part, self.source.simulate([self._row_streams(row) for row in part.tolist()]))
+        parts = [rows[begin : begin + _CHUNK] for begin in range(0, len(rows), _CHUNK)]
+        for one, other in zip_longest(parts[0::2], parts[1::2]):
+            later = None if other is None else in_background(self.source.simulate, self._streams_of(other))
+            self.task.begin(one, self.source.simulate(self._streams_of(one)))
+            if later is not None:
+                self.task.begin(other, later.result())
         self.k[rows] = 0
         self._last[rows] = steps - 1
         if self.stagger:
@@ -120,11 +125,14 @@ class Rollout:
             self._begun[rows] = True
             self._all_begun = bool(self._begun.all())
 
-    def _row_streams(self, row: int) -> Streams:
-        streams = self._streams[row]
-        if streams is None:
-            streams = self._streams[row] = make_streams(self.generator(row))
-        return streams
+    def _streams_of(self, rows: Rows) -> list[Streams]:
+        found = []
+        for row in rows.tolist():
+            streams = self._streams[row]
+            if streams is None:
+                streams = self._streams[row] = make_streams(self.generator(row))
+            found.append(streams)
+        return found
 
     def begun_with(self, mask: Mask) -> bool:
         """Whether every row has begun once the rows marked do."""

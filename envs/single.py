@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from jink.envs.choosing import choose_source, choose_task
 from jink.envs.frames import FPS, RENDER_MODES, Frames
 from jink.envs.rollout import Rollout, TaskFactory
+from jink.envs.task import TellsAlone
 
 __all__ = ["TargetEnv"]
 
@@ -51,6 +52,7 @@ class TargetEnv(gymnasium.Env[NDArray[Any], Any]):
         chosen = choose_task(task, options)
         source = choose_source(chosen, scenario=scenario, suite=suite, tracks=tracks)
         self._rollout = Rollout(chosen.make, source, 1, stagger=stagger)
+        self._alone = self._rollout.task if isinstance(self._rollout.task, TellsAlone) else None
         self._frames = Frames(render_mode)
         self.render_mode = render_mode
         self.observation_space = self._rollout.task.observation_space
@@ -128,9 +130,9 @@ class TargetEnv(gymnasium.Env[NDArray[Any], Any]):
         return observation, reward, terminated, truncated, info
 
     def _observe(self) -> tuple[NDArray[Any], dict[str, Any]]:
-        rollout = self._rollout
-        task, k = rollout.task, rollout.k
-        return task.observe(k)[0], first_row(task.info(k))
+        task, k = self._rollout.task, self._rollout.k
+        info = first_row(task.info(k)) if self._alone is None else self._alone.info_alone(k.item(0))
+        return task.observe(k)[0], info
 
     def render(self) -> Any:
         """The picture of the present moment: (H, W, 3) uint8 for "rgb_array", None for "human".

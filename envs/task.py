@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import gymnasium
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from jink.envs.episodes import Episodes
 
-__all__ = ["Outcome", "Picture", "Task"]
+__all__ = ["Outcome", "Picture", "Task", "TellsAlone"]
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -39,6 +39,15 @@ class Picture(NamedTuple):
     choices: tuple[str, ...]  # names of the actions; empty where the action is not a choice
     choice: NDArray[np.int64]  # (K,) action taken, -1 = none yet
     score: Array  # (K,) reward
+
+
+@runtime_checkable
+class TellsAlone(Protocol):
+    """A `Task` with a quicker way to tell about a single target."""
+
+    def info_alone(self, k: int) -> dict[str, Any]:
+        """What ``info`` says of the only target: Python numbers, fresh arrays."""
+        ...
 
 
 class Task(Protocol):

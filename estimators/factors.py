@@ -22,13 +22,7 @@ from numba.extending import intrinsic
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
-from jink.estimators.compiled import (
-    Callback,
-    _emit_call,
-    _python_functions,
-    entry_kernel,
-    kernel,
-)
+from jink.estimators.compiled import Callback, _emit_call, _python_functions, entry_kernel, kernel
 from jink.estimators.linalg import padded
 
 __all__ = [

@@ -20,7 +20,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -338,13 +338,11 @@ class RobustFilter:
     optimise: bool = False
 
     def __post_init__(self) -> None:
-        n = np.shape(self.transition)[0] if np.ndim(self.transition) == 2 else 0
+        n = _size(self.transition, 0)
         if self.noise_gain is None:
             object.__setattr__(self, "noise_gain", np.eye(n))
-        m, d = (
-            np.shape(value)[-1] if np.ndim(value) == 2 else 0 for value in (self.noise_gain, self.measurement_noise)
-        )
-        q, t = np.shape(self.error)[-1], np.shape(self.excitation)[0]
+        m, d = _size(self.noise_gain, 1), _size(self.measurement_noise, 0)
+        q, t = _size(self.error, 1), _size(self.excitation, 0)
         if self.noise_excitation is None:
             object.__setattr__(self, "noise_excitation", np.zeros((t, m)))
         wanted = {
@@ -419,12 +417,7 @@ class RobustFilter:
         )
 
     def _run(
-        self,
-        caller: str,
-        mean: ArrayLike,
-        cov: ArrayLike,
-        measurement: ArrayLike,
-        first: bool,
+        self, caller: str, mean: ArrayLike, cov: ArrayLike, measurement: ArrayLike, first: bool
     ) -> tuple[Array, Array, float, float]:
         model, q = self._model, self._HM.shape[1]
         n, d = np.shape(self.transition)[0], len(model.R)
@@ -437,28 +430,15 @@ class RobustFilter:
                     "Give the components that were measured to a filter of their own H and R."
                 )
         total, width = model.F_transposed.shape
-        m, P, means, covs = (
-            np.zeros(width),
-            np.zeros((n, width)),
-            np.zeros((2, width)),
-            np.zeros((2, total, width)),
-        )
+        m, P, means, covs = (np.zeros(width), np.zeros((n, width)), np.zeros((2, width)), np.zeros((2, total, width)))
         m[:n], P[:, :n] = values[0], values[1]
         work = np.zeros((11, max(total, d, len(model.E), 2), width))
         search = self.optimise and first
-        regulation, cost = _step(
-            m,
-            P,
-            values[2],
-            model,
-            self.bound,
-            self.alpha,
-            search,
-            n,
-            q,
-            first,
-            work,
-            means,
-            covs,
-        )
+        regulation, cost = _step(m, P, values[2], model, self.bound, self.alpha, search, n, q, first, work, means, covs)
         return means[:, :n], covs[:, :n, :n], float(regulation), float(cost)
+
+
+def _size(matrix: Any, axis: int) -> int:
+    """Length of one axis; 0 for what is no matrix, which fits nothing."""
+    shape = np.shape(matrix)
+    return int(shape[axis]) if len(shape) == 2 else 0
