@@ -15,7 +15,7 @@ from jink.envs.cartesian import check_locates, place_measurements
 from jink.envs.episodes import Episodes, Source
 from jink.envs.halves import in_halves
 from jink.envs.loop_filter import LoopFilter, make_loop_filter
-from jink.envs.task import Array, Outcome, Picture, Rows
+from jink.envs.task import ActionError, Array, Outcome, Picture, Rows
 from jink.estimators.factors import Factor, make_factor
 
 __all__ = ["FACTORS_OFFERED", "LARGEST_LOG_INFLATION", "AdaptiveFactorTask"]
@@ -68,8 +68,9 @@ class AdaptiveFactorTask:
     mean reward is 0 for the nominal filter (exactly: action *none*, or -1) and 1 for the oracle. c is at least a tenth
     of sigma, the root mean nominal variance of a position component: in an episode without surges there is nothing to
     gain, and the reward is the difference in tenths of sigma. ``reward="squared"`` and ``"log"`` use ``e^2`` and
-    ``ln(1 + e^2)`` instead, in units of sigma. A reward is cut off at -10 and 100. Losing the track costs 10 for each
-    decision left, so that giving up never pays. A sample whose truth is not known (recorded tracks) gives 0.
+    ``ln(1 + e^2)`` instead, in units of sigma. A reward is cut off at -10 and 100; in scenarios where that happens the
+    oracle's mean is not exactly 1 (0.94 to 1.23). Losing the track costs 10 for each decision left, so that giving up
+    never pays. A sample whose truth is not known (recorded tracks) gives 0.
 
     ## Starting State
     A target drawn by the scenario from the environment's generator; the filters start from what the scenario tells
@@ -152,6 +153,7 @@ class AdaptiveFactorTask:
         self._features = np.zeros((B, self.observation_space.shape[0]), dtype=np.float32)
         self._noises = np.zeros((1, 1, A * A))
         self._ones = np.ones(B)
+        self._ends = np.full(B, T - 1)
         self._sensor_places = np.zeros((B, A))
         self._one_noise = True
         self._look_up()
@@ -176,31 +178,23 @@ class AdaptiveFactorTask:
         array = np.asarray(actions)
         if self.continuous:
             if array.shape != (self.count, 1) or array.dtype.kind not in "fiu":
-                raise ValueError(
-                    f"{caller}: action must be numbers of shape {(self.count, 1)}; got {array.dtype} {array.shape}. "
-                    "Give one per target: -1 leaves the noise as it is, 1 inflates it by a million."
-                )
-            if not np.abs(array).max() <= 1.0:
-                row = int(np.argmin(np.abs(array[:, 0]) <= 1.0))
-                raise ValueError(
-                    f"{caller}: action must be finite and within -1 .. 1; got {array[row, 0]} for target {row}. "
-                    "Clip it."
-                )
-            return array.astype(np.float64)
+                remedy = "Give -1 to leave the noise as it is, up to 1 to inflate it by a million."
+                raise ActionError.shaped(caller, "numbers", array, (self.count, 1), remedy)
+            inflations = array.astype(np.float64)  # before abs: the most negative integer has no absolute value
+            if not np.abs(inflations).max() <= 1.0:
+                row = int(np.argmin(np.abs(inflations[:, 0]) <= 1.0))
+                raise ActionError.valued(caller, "be finite and within -1 .. 1", array[row, 0], row, "Clip it.")
+            return inflations
         if array.shape != (self.count,) or array.dtype.kind not in "iu":
-            raise ValueError(
-                f"{caller}: action must be integers of shape {(self.count,)}; got {array.dtype} {array.shape}. "
-                f"Give the number of a factor: {_listed(self.factors)}."
-            )
+            remedy = f"Give the number of a factor: {_listed(self.factors)}."
+            raise ActionError.shaped(caller, "integers", array, (self.count,), remedy)
         chosen = array.astype(np.int64)
         # Seen as unsigned, a negative number is a huge one; a reduction costs ten times as much as one item.
         largest = chosen.view(np.uint64).item(0) if self.count == 1 else chosen.view(np.uint64).max()
         if largest >= len(self.factors):
             row = int(np.argmax((array < 0) | (array >= len(self.factors))))
-            raise ValueError(
-                f"{caller}: action must be 0 .. {len(self.factors) - 1}; got {array[row]} for target {row}. "
-                f"Give the number of a factor: {_listed(self.factors)}."
-            )
+            remedy = f"Give the number of a factor: {_listed(self.factors)}."
+            raise ActionError.valued(caller, f"be 0 .. {len(self.factors) - 1}", array[row], row, remedy)
         return chosen
 
     def begin(self, rows: Rows, episodes: Episodes) -> None:
@@ -214,6 +208,7 @@ class AdaptiveFactorTask:
             if self._one_noise:
                 self._noises, self._one_noise = np.zeros((self.count, T, A * A)), False
             self._noises[rows] = noises.reshape(len(rows), T, A * A)
+        self._ends[rows] = T - 1
         self._sensor_places[rows] = episodes.sensor_states[:, 0, :A]
         priors = np.zeros((len(rows), 2 * A + 1, 8))
         priors[:, 0, : 2 * A] = episodes.prior_mean
@@ -229,6 +224,10 @@ class AdaptiveFactorTask:
             np.empty((2, T, kernels.FIRST + 3 * A)), self._samples, self._memory, self._features,
         )  # fmt: skip
 
+    def end_early(self, rows: Rows, ends: Rows) -> None:
+        """The episodes just begun end at samples ``ends``: no decision after them is lost with a track."""
+        self._ends[rows] = ends
+
     def step(self, actions: NDArray[Any], k: Rows, live: NDArray[np.bool_]) -> Outcome:
         """Update the filters of sample ``k[b]`` with the noise chosen, and look at the next one."""
         A, modes, choices = self._sizes
@@ -239,7 +238,7 @@ class AdaptiveFactorTask:
             chosen, inflations = actions, self._ones
         reward, lost = np.empty(self.count), np.empty(self.count, dtype=np.bool_)
         in_halves(
-            kernels.step_rows, self.count, live, k, chosen, inflations, A, modes, choices, self._filters,
+            kernels.step_rows, self.count, live, k, self._ends, chosen, inflations, A, modes, choices, self._filters,
             self._addresses, self._thresholds, self._params, self._settings, self._noises, self._one_noise,
             self._states, self._samples, self._memory, self._features, reward, lost,
         )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import importlib
 import inspect
@@ -80,6 +81,8 @@ def choose_source(chosen: Chosen, *, scenario: Any, suite: str | None, tracks: A
             raise ValueError(f"make: tracks must come without {both}; got both. Choose recorded or simulated targets.")
         from jink.envs.recorded_source import RecordedSource
 
+        known = [entry.name for entry in dataclasses.fields(RecordedSource) if entry.init and entry.name != "tracks"]
+        _check_names(chosen, known)
         return _built("tracks", RecordedSource, tracks, chosen)
     if scenario is not None and not isinstance(scenario, str):
         if suite is not None:
@@ -100,7 +103,7 @@ def choose_source(chosen: Chosen, *, scenario: Any, suite: str | None, tracks: A
         if suite not in SUITES:
             raise ValueError(f"make: suite must be one of {', '.join(SUITES)}; got {suite!r}. See `jink list`.")
         if scenario is None:
-            parts = [_built("suite", make_scenario, name, chosen) for name in SUITES[suite]]
+            parts = [_member(suite, name, chosen) for name in SUITES[suite]]
             return parts[0] if len(parts) == 1 else Mixture(suite, tuple(parts))
         if scenario not in SUITES[suite]:
             raise ValueError(
@@ -108,6 +111,34 @@ def choose_source(chosen: Chosen, *, scenario: Any, suite: str | None, tracks: A
                 "Leave one of the two out."
             )
     return _built("scenario", make_scenario, chosen.scenario if scenario is None else scenario, chosen)
+
+
+def _check_names(chosen: Chosen, known: list[str]) -> None:
+    """Refuse options that neither recorded tracks nor the task have."""
+    names = [*known, *(name for name in chosen.options if name not in known)]
+    for name in chosen.parameters:
+        if name not in known:
+            near = difflib.get_close_matches(name, names, n=1)
+            hint = f"Did you mean {near[0]}? " if near else ""
+            raise ValueError(
+                f"make: option {name} must be a known one with tracks; got no such name. "
+                f"{hint}There are {', '.join(names)}."
+            )
+
+
+def _member(suite: str, name: str, chosen: Chosen) -> Source:
+    """One scenario of a suite; what it refuses is told with its name."""
+    from jink.envs.scenarios import make_scenario
+
+    try:
+        source: Source = _built("suite", make_scenario, name, chosen)
+    except ValueError as error:
+        if str(error).startswith((f"{name}:", "make:")):
+            raise
+        raise ValueError(
+            f"make: options must suit every scenario of suite {suite}; got a refusal from {name}: {error}"
+        ) from None
+    return source
 
 
 def _built(what: str, build: Any, name: Any, chosen: Chosen) -> Any:
@@ -124,6 +155,7 @@ def _built(what: str, build: Any, name: Any, chosen: Chosen) -> Any:
         if not chosen.parameters:
             raise
         raise ValueError(
-            f"make: options must be parameters of the {what} or of the task ({', '.join(chosen.options) or 'none'}); "
-            f"got {', '.join(sorted(chosen.parameters))} ({error}). Rename or remove one."
+            f"make: options must have values that {what} can use; got "
+            f"{', '.join(f'{key}={value!r}' for key, value in sorted(chosen.parameters.items()))} ({error}). "
+            "Correct the value of one."
         ) from None

@@ -25,8 +25,9 @@ class Episodes(NamedTuple):
     """
 
     times: Array  # (B, T) s, when the target was seen; times[:, 0] = 0
+    delivery_times: Array  # (B, T) s, when each measurement reaches the tracker: `times + latency`
     truth: Truth  # at `times`
-    delivered: Truth  # at the time each measurement reaches the tracker, `times + latency`; `truth` itself without any
+    delivered: Truth  # at `delivery_times`; `truth` itself without a latency
     measurements: Array  # (B, T, D)
     detected: NDArray[np.bool_]  # (B, T) whether any component is there
     scale: Array  # (B, T) factor on the nominal noise covariance, >= 0

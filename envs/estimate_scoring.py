@@ -24,12 +24,13 @@ def _length(x):
 
 
 @entry_kernel
-def judge(actions, k, live, samples, columns, limits, off, streak, error, reward, lost):
+def judge(actions, k, live, ends, samples, columns, limits, off, streak, error, reward, lost):
     """Score the estimates of sample ``k[b]`` of every live target.
 
     actions (B, A) in units of ``limits[0]`` m; samples (B, T, W) with position, estimate, sigma and score in the
-    columns given; limits: scale, sigma at which an estimate is far off, decisions in a row, cap. Writes the estimate
-    and the score into the sample, and streak, error, reward, lost; (B,). Where the truth is NaN the reward is 0.
+    columns given; ends (B,): the sample after the last decision; limits: scale, sigma at which an estimate is far
+    off, decisions in a row, cap. Writes the estimate and the score into the sample, and streak, error, reward, lost;
+    (B,). Where the truth is NaN the reward is 0.
     """
     position, guess, sigma, score = columns
     scale, lost_after, lost_steps, cap = limits
@@ -49,7 +50,7 @@ def judge(actions, k, live, samples, columns, limits, off, streak, error, reward
                 streak[b] = 0
             if streak[b] >= lost_steps:
                 lost[b] = True
-                reward[b] = -cap * (samples.shape[1] - 1 - k[b])
+                reward[b] = -cap * (ends[b] - k[b])
             elif not math.isnan(relative):
                 reward[b] = -min(relative, cap)
             sample[score] = reward[b]
@@ -57,9 +58,9 @@ def judge(actions, k, live, samples, columns, limits, off, streak, error, reward
 
 @entry_kernel
 def elapsed(times, switch_times, since):
-    """Time since the last switch, or since the first sample; (B, T); switches in order, then NaN."""
+    """Time since the last switch, or since time 0; (B, T); switches in order, then NaN."""
     for b in range(times.shape[0]):
-        last, j = times[b, 0], 0
+        last, j = 0.0, 0
         for t in range(times.shape[1]):
             while j < switch_times.shape[1] and switch_times[b, j] <= times[b, t]:
                 last = switch_times[b, j]

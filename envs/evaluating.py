@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any, NamedTuple, Protocol
 
 import gymnasium
@@ -11,6 +11,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 __all__ = ["Evaluation", "Policy", "evaluate"]
+
+_ERRORS = ("error", "error_agent")
 
 
 class Policy(Protocol):
@@ -53,7 +55,7 @@ def evaluate(
     episodes: int = 100,
     seed: int = 0,
     *,
-    error: str = "error",
+    error: str | None = None,
 ) -> Evaluation:
     """Play whole episodes; episode e is the one ``reset(seed=seed + e)`` starts, in single and vector environments.
 
@@ -63,13 +65,13 @@ def evaluate(
             for instance ``lambda observation: model.predict(observation, deterministic=True)[0]``.
         episodes: E, >= 1.
         seed: of the first episode.
-        error: name of the info to keep as ``errors``.
+        error: name of the info to keep as ``errors``; None: "error", else "error_agent", else none.
 
     Returns:
         rewards, errors and ends of the episodes.
 
     Raises:
-        ValueError: ``episodes`` is not an integer >= 1.
+        ValueError: ``episodes`` is not an integer >= 1, or a step's info has no ``error``.
     """
     if not isinstance(episodes, int | np.integer) or isinstance(episodes, bool) or episodes < 1:
         raise ValueError(f"evaluate: episodes must be an integer >= 1; got {episodes!r}. Give how many to play.")
@@ -95,18 +97,29 @@ def evaluate(
     )
 
 
-def _play(env: gymnasium.Env[Any, Any], policy: Any, seed: int, error: str) -> _Tape:
+def _error_name(error: str | None, told: Collection[str]) -> str:
+    """The info that is the error, of those a step told."""
+    if error is None:
+        return next((name for name in _ERRORS if name in told), _ERRORS[0])
+    if error not in told:
+        names = ", ".join(sorted(name for name in told if not name.startswith(("_", "final_")))) or "none"
+        raise ValueError(f"evaluate: error must be the name of an info; got {error!r}. The environment tells {names}.")
+    return error
+
+
+def _play(env: gymnasium.Env[Any, Any], policy: Any, seed: int, error: str | None) -> _Tape:
     tape, first = _Tape(), np.ones(1, dtype=np.bool_)
     observation, _ = env.reset(seed=seed)
     while not tape.over:
         action = policy.act(observation[None], first)[0] if hasattr(policy, "act") else policy(observation)
         observation, reward, terminated, truncated, info = env.step(action)
-        tape.note(float(reward), float(info.get(error, np.nan)), bool(terminated), bool(truncated))
+        wrong = float(info.get(_error_name(error, info), np.nan))
+        tape.note(float(reward), wrong, bool(terminated), bool(truncated))
         first = np.zeros(1, dtype=np.bool_)
     return tape
 
 
-def _play_batch(env: VectorEnv[Any, Any, Any], policy: Any, seed: int, error: str) -> list[_Tape]:
+def _play_batch(env: VectorEnv[Any, Any, Any], policy: Any, seed: int, error: str | None) -> list[_Tape]:
     """The first episode of every target; those that are over play on unseen until the last one is."""
     mode = env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP)
     tapes = [_Tape() for _ in range(env.num_envs)]
@@ -119,10 +132,11 @@ def _play_batch(env: VectorEnv[Any, Any, Any], policy: Any, seed: int, error: st
             first = ended
         actions = policy.act(observations, first) if hasattr(policy, "act") else policy(observations)
         observations, rewards, terminated, truncated, infos = env.step(actions)
-        errors = np.array(infos.get(error, np.full(env.num_envs, np.nan)), dtype=np.float64)
         told = infos.get("final_info", {})
-        if error in told:
-            errors = np.where(told[f"_{error}"], told[error], errors)
+        name = _error_name(error, {*infos, *told})
+        errors = np.array(infos.get(name, np.full(env.num_envs, np.nan)), dtype=np.float64)
+        if name in told:
+            errors = np.where(told[f"_{name}"], told[name], errors)
         for row, tape in enumerate(tapes):
             if not tape.over:
                 tape.note(float(rewards[row]), float(errors[row]), bool(terminated[row]), bool(truncated[row]))

@@ -301,11 +301,10 @@ def _mean_sigma(noises, row, scalar, A, steps):
 
 @kernel
 def step_rows(
-    begin, end, live, at, choices, inflations, A, modes, actions, filters, factors, thresholds, params, settings,
+    begin, end, live, at, ends, choices, inflations, A, modes, actions, filters, factors, thresholds, params, settings,
     noises, scalar, states, samples, memory, features, reward, lost, work,
 ):  # fmt: skip
     """Targets ``begin`` to ``end`` that are live take their decision at sample ``at`` and see the next one."""
-    steps = samples.shape[0]
     _load_noise(noises, begin, 0, scalar, A, work[_NOISE])
     for row in range(begin, end):
         reward[row] = 0.0
@@ -339,7 +338,7 @@ def step_rows(
             mine[STREAK] += 1.0
         if mine[STREAK] >= settings[LOST_STEPS]:
             lost[row] = True
-            score = settings[LOWEST] * (steps - 1 - k)
+            score = settings[LOWEST] * (ends[row] - k)
         reward[row] = score
         sample[CHOICE], sample[SCORE] = choices[row], score
         mine[ERROR_AGENT], mine[ERROR_NOMINAL], mine[ERROR_ORACLE] = error, nominal, sample[ORACLE]

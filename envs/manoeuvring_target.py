@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from jink.envs.episodes import Episodes, Source
 from jink.envs.estimate_scoring import judge
 from jink.envs.observing import Layout, nominal_sigma, seen_positions, since_switch
-from jink.envs.task import Array, Outcome, Picture, Rows
+from jink.envs.task import ActionError, Array, Outcome, Picture, Rows
 
 __all__ = ["ManoeuvringTargetTask"]
 
@@ -130,6 +130,7 @@ class ManoeuvringTargetTask:
         self._streak = np.zeros(count, dtype=np.int64)
         self._error = np.zeros(count)
         self._every = np.arange(count)
+        self._ends = np.full(count, source.steps - 1)
         self._drawn: dict[int, tuple[Array, Array]] = {}
 
     def check_actions(self, actions: Any, caller: str) -> NDArray[Any]:
@@ -144,18 +145,14 @@ class ManoeuvringTargetTask:
         except ValueError:
             array = np.empty(0, dtype=object)
         if array.shape != shape or array.dtype.kind not in "fiu":
-            found = "rows of different lengths" if array.size == 0 else f"{array.dtype} {array.shape}"
-            raise ValueError(
-                f"{caller}: action must be numbers of shape {shape}; got {found}. "
-                "Divide the estimated position by layout.scale."
-            )
-        if not np.abs(array).max() <= 1.0:
-            row = int(np.argmin((np.abs(array) <= 1.0).all(axis=1)))
-            raise ValueError(
-                f"{caller}: action must be finite and within -1 .. 1; got {array[row].tolist()} for target {row}. "
-                "Clip the estimate divided by layout.scale."
-            )
-        return array.astype(np.float64)
+            remedy = "Divide the estimated position by layout.scale."
+            raise ActionError.shaped(caller, "numbers", array if array.size else None, shape, remedy)
+        places = array.astype(np.float64)  # before abs: the most negative integer has no absolute value
+        if not np.abs(places).max() <= 1.0:
+            row = int(np.argmin((np.abs(places) <= 1.0).all(axis=1)))
+            remedy = "Clip the estimate divided by layout.scale."
+            raise ActionError.valued(caller, "be finite and within -1 .. 1", array[row].tolist(), row, remedy)
+        return places
 
     def begin(self, rows: Rows, episodes: Episodes) -> None:
         """Rows start new episodes."""
@@ -166,7 +163,7 @@ class ManoeuvringTargetTask:
         samples[:, :, c.velocity] = episodes.delivered.velocity
         samples[:, :, c.time] = episodes.times
         samples[:, :, c.intent] = episodes.delivered.intent
-        samples[:, :, c.since] = since_switch(episodes.times, episodes.truth.switch_times)
+        samples[:, :, c.since] = since_switch(episodes.delivery_times, episodes.delivered.switch_times)
         samples[:, :, c.scale] = episodes.scale
         samples[:, :, c.detected] = episodes.detected
         separation = episodes.delivered.position - episodes.sensor_states[:, :, :A]
@@ -175,16 +172,24 @@ class ManoeuvringTargetTask:
         samples[:, :, c.score] = 0.0
         self._samples[rows] = samples
         self._streak[rows] = 0
+        self._ends[rows] = self.source.steps - 1
         self._error[rows] = 0.0
         if self._drawn:
             for row in rows.tolist():
                 self._drawn.pop(row, None)
 
+    def end_early(self, rows: Rows, ends: Rows) -> None:
+        """The episodes just begun end at samples ``ends``: no decision after them is lost with a track."""
+        self._ends[rows] = ends
+
     def step(self, actions: NDArray[Any], k: Rows, live: NDArray[np.bool_]) -> Outcome:
         """Judge the estimates of sample ``k[b]``."""
         reward, lost = np.empty(self.count), np.empty(self.count, dtype=np.bool_)
         columns, limits = self._judging
-        judge(actions, k, live, self._samples, columns, limits, self._off, self._streak, self._error, reward, lost)
+        judge(
+            actions, k, live, self._ends, self._samples, columns, limits,
+            self._off, self._streak, self._error, reward, lost,
+        )  # fmt: skip
         return Outcome(reward, lost)
 
     def observe(self, k: Rows) -> NDArray[Any]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from jink.envs.episodes import Episodes, Source
 from jink.envs.estimate_scoring import elapsed
+from jink.estimators.locating import locate_ray
 from jink.estimators.sensor import Sensor
 
 __all__ = ["BOUND", "Layout", "Seen", "nominal_sigma", "seen_positions", "since_switch"]
@@ -91,7 +92,8 @@ def nominal_sigma(sensor: Sensor, separation: Array) -> Array:
     """Root mean square position error of one measurement in nominal noise.
 
     Model: ``sigma^2 = A mean_i s_i^2`` over the components that see position, with ``s_i`` the sigma of a distance
-    or range times the sigma of an angle; exact for positions and for range with bearing (and elevation).
+    or range times the sigma of an angle (horizontal range for a bearing seen with an elevation); exact for positions
+    and, to first order, for range with bearing (and elevation).
     A sensor of range rates alone is given ``s = sigma x 1 s``.
 
     Args:
@@ -103,19 +105,28 @@ def nominal_sigma(sensor: Sensor, separation: Array) -> Array:
     """
     distance = np.maximum(np.sqrt(np.square(separation).sum(axis=-1)), 1.0)
     fixed = [sigma for sigma, unit in zip(sensor.sigma, sensor.units, strict=True) if unit == "m"]
-    turning = [sigma for sigma, unit in zip(sensor.sigma, sensor.units, strict=True) if unit == "rad"]
+    turning = [
+        (label, sigma)
+        for label, sigma, unit in zip(sensor.labels, sensor.sigma, sensor.units, strict=True)
+        if unit == "rad"
+    ]
     if not fixed and not turning:
         fixed = list(sensor.sigma)
+    level = (
+        np.maximum(np.hypot(separation[..., 0], separation[..., 1]), 1.0) if "elevation" in sensor.labels else distance
+    )
     share = sensor.axes / (len(fixed) + len(turning))
-    total = math.fsum(s * s for s in fixed) + distance * distance * math.fsum(s * s for s in turning)
+    total = np.asarray(math.fsum(s * s for s in fixed))
+    for label, sigma in turning:
+        total = total + np.square(sigma * (level if label == "bearing" else distance))
     return np.asarray(np.sqrt(share * total))
 
 
 def since_switch(times: Array, switch_times: Array) -> Array:
-    """Time since the last change of intent, or since the start.
+    """Time since the last change of intent, or since the start at time 0.
 
     Args:
-        times: (B, T); s.
+        times: the moments asked about, in order; (B, T); s.
         switch_times: in order, NaN = padding; (B, S); s.
 
     Returns:
@@ -127,7 +138,7 @@ def since_switch(times: Array, switch_times: Array) -> Array:
 
 
 def seen_positions(sensor: Sensor, measurements: Array, sensor_states: Array) -> Array:
-    """Where measurements alone place the target; NaN where they do not.
+    """Where measurements alone place the target; NaN where they do not, for instance along a bearing.
 
     Args:
         sensor: what is measured.
@@ -138,7 +149,7 @@ def seen_positions(sensor: Sensor, measurements: Array, sensor_states: Array) ->
         (T, A); m.
     """
     places = np.full((len(measurements), sensor.axes), np.nan)
-    if sensor.locate is not None:
+    if sensor.locate is not None and sensor.locate is not locate_ray:
         for t, (z, state) in enumerate(zip(measurements, sensor_states, strict=True)):
             located = sensor.locate(sensor, z, sensor.noise, state)
             if located is not None:

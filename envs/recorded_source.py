@@ -17,7 +17,7 @@ from jink.envs.reading.recorded_rows import TruthRows, find_windows, mean_accele
 from jink.envs.recorded import read_tracks
 from jink.envs.sensing import Sensing
 from jink.envs.streams import STREAMS, Need, Streams, draw
-from jink.envs.surges import Surge
+from jink.envs.surges import Surge, as_surges
 from jink.envs.truth import Truth
 from jink.estimators.sensor import Sensor
 from jink.estimators.tracks import Tracks
@@ -44,7 +44,7 @@ class RecordedSource:
         sigma: nominal standard deviation, one or one per component; m, rad, m/s. None, recorded noise: the median
             of the file's sigmas, else the robust spread about the recorded truth.
         sensing: the simulated sensor; None: positions with `sigma`.
-        surges: what goes wrong with simulated noise.
+        surges: what goes wrong with simulated noise; surges or their registry names, one or several.
         truth: "recorded"; "measured": the measured positions stand for the truth; "smoothed": a constant-velocity
             smoother's do; "auto": recorded where the tracks have it, else measured under simulated noise of measured
             positions, else smoothed.
@@ -147,7 +147,12 @@ class RecordedSource:
             raise ValueError(
                 f"RecordedSource: start_sigma must be two numbers > 0, m and m/s; got {sigmas!r}. Leave it out."
             )
-        object.__setattr__(self, "surges", tuple(self.surges))
+        object.__setattr__(self, "surges", as_surges(self.surges))
+        for surge in self.surges:
+            if not hasattr(surge, "apply"):
+                raise ValueError(
+                    f"RecordedSource: surges must be surges or their names; got {surge!r}. See jink.envs.surges."
+                )
         if self.noise == "recorded" and (self.surges or self.sensing is not None):
             raise ValueError(
                 f"RecordedSource: {'surges' if self.surges else 'sensing'} must come with simulated noise; got "
@@ -218,7 +223,8 @@ class RecordedSource:
                 ratio = np.diagonal(noise, axis1=-2, axis2=-1) / np.diag(self.sensor.noise)
                 known = np.isfinite(z)
                 scale = np.where(detected, np.where(known, ratio, 0.0).sum(-1) / np.maximum(known.sum(-1), 1), 1.0)
-        return Episodes(times, truth, truth, z, detected, scale, bias, noise, self.sensor.noise, states, mean, cov)
+        nominal = self.sensor.noise
+        return Episodes(times, times, truth, truth, z, detected, scale, bias, noise, nominal, states, mean, cov)
 
     def _switches(self, rows: NDArray[np.int64], times: Array) -> Array:
         """Times of the first rows with a new label; (B, S)."""

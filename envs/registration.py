@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gymnasium
 
-__all__ = ["ENVIRONMENTS", "TASKS", "register"]
+__all__ = ["ENVIRONMENTS", "TASKS", "full_id", "register"]
 
 TASKS: dict[str, tuple[str, str]] = {
     "manoeuvring-target": ("jink.envs.manoeuvring_target:ManoeuvringTargetTask", "switch-v0"),
@@ -18,6 +18,11 @@ ENVIRONMENTS: dict[str, dict[str, object]] = {
     "jink/AdaptiveFactorContinuous-v0": {"task": "adaptive-factor", "continuous": True},
 }
 """Id -> keywords of `TargetEnv` and `TargetVectorEnv`."""
+
+
+def full_id(name: str) -> str:
+    """The id of one of our environments given with or without "jink/"; any other name as it is."""
+    return f"jink/{name}" if f"jink/{name}" in ENVIRONMENTS else name
 
 
 def register() -> None:

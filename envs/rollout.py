@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from jink.envs.episodes import Source
 from jink.envs.halves import in_background
 from jink.envs.streams import Streams, make_streams
-from jink.envs.task import Rows, Task
+from jink.envs.task import EndsEarly, Rows, Task
 
 __all__ = ["Rollout", "Step", "TaskFactory", "check_seed"]
 
@@ -117,8 +117,11 @@ class Rollout:
         self.k[rows] = 0
         self._last[rows] = steps - 1
         if self.stagger:
-            for row in rows[self._first[rows]].tolist():
+            early = rows[self._first[rows]]
+            for row in early.tolist():
                 self._last[row] = self.generator(row).integers(1, steps)
+            if isinstance(self.task, EndsEarly):
+                self.task.end_early(early, self._last[early])
         self._first[rows] = False
         self.over[rows] = False
         if not self._all_begun:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,7 @@ from jink.envs.sensing import Sensing
 from jink.envs.simulate import simulate
 from jink.envs.streams import Streams
 from jink.envs.surge import Surge
-from jink.envs.surges import make_surge
+from jink.envs.surges import as_surges
 from jink.envs.truth import Motion
 from jink.estimators.sensor import Sensor
 from jink.estimators.sensor_parts import check_sigmas
@@ -143,18 +143,33 @@ class Scenario:
         return simulate(self, streams)
 
 
+def _sensor_constants(sensor: Sensor, value: Any) -> tuple[float, ...]:
+    """Constants of a sensor reach compiled code, which trusts their number."""
+    try:
+        constants = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        constants = np.full(0, np.nan)
+    if constants.shape != (len(sensor.params),) or not np.isfinite(constants).all():
+        raise ValueError(
+            f"{sensor.name}: params must be {len(sensor.params)} finite numbers; got {value!r}. "
+            "Give a sensor of your own for another number of them."
+        )
+    return tuple(constants.tolist())
+
+
 def _fitted(parent: Any, name: str, value: Any) -> Any:
     """A new value as its field wants it: kinds by name, one sigma for all components, tuples for lists."""
     if isinstance(parent, Sensor) and name == "sigma":
         return check_sigmas(parent.name, value, parent.labels, parent.units)
+    if isinstance(parent, Sensor) and name == "params":
+        return _sensor_constants(parent, value)
     if isinstance(parent, Sensing) and name == "sensor" and isinstance(value, str):
         any_space = value.replace("_", "-") in ("position", "range", "range-rate", "range-range-rate")
         return make_sensor(value, **({"axes": parent.sensor.axes} if any_space else {}))
     if isinstance(parent, Scenario) and name == "sampling" and isinstance(value, str):
         return make_sampling(value, steps=parent.steps, dt=getattr(parent.sampling, "dt", 0.1))
     if isinstance(parent, Scenario) and name == "surges":
-        kinds = [value] if isinstance(value, str) or not isinstance(value, Iterable) else value
-        return tuple(make_surge(kind) if isinstance(kind, str) else kind for kind in kinds)
+        return as_surges(value)
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     return tuple(_fitted(None, "", item) for item in value) if isinstance(value, list) else value

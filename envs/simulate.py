@@ -44,7 +44,8 @@ def simulate(scenario: Scenario, streams: Sequence[Streams]) -> Episodes:
     T, D = sampling.steps, sensing.sensor.size
     by_stream = list(zip(*streams, strict=True)) or [()] * len(STREAMS)
     times = sampling.times(draw(by_stream[_TIMES], sampling.need()))
-    truth, delivered = _move(scenario, times, by_stream[_MOTION])
+    latency = _latency(scenario)
+    truth, delivered = _move(scenario, times, latency, by_stream[_MOTION])
     scale, bias = np.ones(times.shape), np.zeros((*times.shape, D))
     detected = np.ones(times.shape, dtype=np.bool_)
     for surge in scenario.surges:
@@ -54,6 +55,7 @@ def simulate(scenario: Scenario, streams: Sequence[Streams]) -> Episodes:
     sight = sensing.look(times, truth, draws, scale, bias, detected)
     return Episodes(
         times,
+        times + latency,
         truth,
         delivered,
         sight.measurements,
@@ -68,11 +70,17 @@ def simulate(scenario: Scenario, streams: Sequence[Streams]) -> Episodes:
     )
 
 
-def _move(scenario: Scenario, times: Array, generators: Sequence[np.random.Generator]) -> tuple[Truth, Truth]:
+def _latency(scenario: Scenario) -> float:
+    """In whole ticks, as all times are."""
+    return round(scenario.sensing.latency / TICK) * TICK
+
+
+def _move(
+    scenario: Scenario, times: Array, latency: float, generators: Sequence[np.random.Generator]
+) -> tuple[Truth, Truth]:
     """Truth at the times of the samples and of their delivery, both from one path."""
     motion, duration = scenario.motion, scenario.sampling.duration
     T = times.shape[1]
-    latency = round(scenario.sensing.latency / TICK) * TICK
     longest = duration + max(latency, _ROOM)
     if latency == 0.0:
         truth = motion.simulate(times, draw(generators, motion.need(T, longest)))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from jink.envs.choosing import choose_source, choose_task
 from jink.envs.frames import FPS, RENDER_MODES, Frames
 from jink.envs.rollout import Rollout, TaskFactory
-from jink.envs.task import TellsAlone
+from jink.envs.task import ActionError, TellsAlone
 
 __all__ = ["TargetEnv"]
 
@@ -123,7 +123,10 @@ class TargetEnv(gymnasium.Env[NDArray[Any], Any]):
             rollout.need_begun("step")
             raise ResetNeeded("step: the episode must be under way; it is over. Call reset to start the next one.")
         batch = action[None] if isinstance(action, np.ndarray) else [action]
-        reward, terminated, truncated = rollout.step_alone(batch)
+        try:
+            reward, terminated, truncated = rollout.step_alone(batch)
+        except ActionError as error:
+            raise ValueError(error.alone) from None
         observation, info = self._observe()
         if self.render_mode == "human":
             self._frames.show(rollout, 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from jink.envs.noise.biases import BiasDrift, BiasWalk
@@ -22,6 +23,7 @@ __all__ = [
     "PlacedBursts",
     "Ramp",
     "Surge",
+    "as_surges",
     "make_surge",
 ]
 
@@ -50,3 +52,13 @@ def make_surge(name: str, **options: Any) -> Surge:
     if name not in SURGES:
         raise ValueError(f"make_surge: name must be a known surge; got {name!r}. Use one of {', '.join(SURGES)}.")
     return SURGES[name](**options)
+
+
+def as_surges(value: Any) -> tuple[Any, ...]:
+    """One or several surges, each as it is or by its registry name.
+
+    Raises:
+        ValueError: an unknown name.
+    """
+    kinds = [value] if isinstance(value, str) or not isinstance(value, Iterable) else value
+    return tuple(make_surge(kind) if isinstance(kind, str) else kind for kind in kinds)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from jink.envs.episodes import Episodes
 
-__all__ = ["Outcome", "Picture", "Task", "TellsAlone"]
+__all__ = ["ActionError", "EndsEarly", "Outcome", "Picture", "Task", "TellsAlone"]
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -39,6 +39,47 @@ class Picture(NamedTuple):
     choices: tuple[str, ...]  # names of the actions; empty where the action is not a choice
     choice: NDArray[np.int64]  # (K,) action taken, -1 = none yet
     score: Array  # (K,) reward
+
+
+class ActionError(ValueError):
+    """An action that cannot be taken, worded for a batch.
+
+    Args:
+        sentence: what is wrong, of all targets.
+        alone: the same worded for the only target of a single environment.
+    """
+
+    def __init__(self, sentence: str, alone: str = "") -> None:
+        super().__init__(sentence)
+        self.alone = alone or sentence
+
+    @classmethod
+    def shaped(
+        cls, caller: str, kind: str, found: NDArray[Any] | None, shape: tuple[int, ...], remedy: str
+    ) -> ActionError:
+        """Actions of another shape or type; ``kind`` in the plural, ``found`` None: rows of different lengths."""
+        got = ["rows of different lengths"] * 2
+        if found is not None:
+            got = [f"{found.dtype} {found.shape}", f"{found.dtype} {found.shape[1:]}"]
+        return cls(
+            f"{caller}: action must be {kind} of shape {shape}; got {got[0]}. {remedy}",
+            f"{caller}: action must be {kind} of shape {shape[1:]}; got {got[1]}. {remedy}",
+        )
+
+    @classmethod
+    def valued(cls, caller: str, rule: str, found: Any, row: int, remedy: str) -> ActionError:
+        """An action ``found`` for target ``row`` that is out of range."""
+        start = f"{caller}: action must {rule}; got {found}"
+        return cls(f"{start} for target {row}. {remedy}", f"{start}. {remedy}")
+
+
+@runtime_checkable
+class EndsEarly(Protocol):
+    """A `Task` whose rewards depend on how many decisions are left."""
+
+    def end_early(self, rows: Rows, ends: Rows) -> None:
+        """Called after `Task.begin`: the episodes of ``rows`` (k,) end at sample ``ends`` (k,), not with their last."""
+        ...
 
 
 @runtime_checkable

@@ -14,11 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from jink.estimators.bank import Bank
 from jink.estimators.batches import fill_outside, in_parallel, part_of_inputs, part_of_prior
-from jink.estimators.beginning import locate, take_prior
-from jink.estimators.cycle import advance, advance_one, begin_tracks
+from jink.estimators.beginning import begin_at_measurements, locate, take_prior
+from jink.estimators.cycle import advance, advance_one
 from jink.estimators.forecasting import forecast_states
 from jink.estimators.inputs import Prior, check_inputs
 from jink.estimators.program import Program, make_work
+from jink.estimators.readings import intent_names, intent_probs, noise_scale, surge_probability
 from jink.estimators.records import LOCATED, PRIOR, History, Inputs, Outputs, State, make_outputs, make_state
 from jink.estimators.reference import Pinned, pin
 from jink.estimators.smoothers import make_smoother, smooth_tracks
@@ -93,7 +94,14 @@ class BankEstimator:
             program, sensor = self._program, self.bank.sensor
             scratch.work = pin(
                 make_work(
-                    len(self.modes), program.angular.shape[1], program.birth_mean.shape[1], sensor.size, 2 * sensor.axes
+                    len(self.modes),
+                    program.angular.shape[1],
+                    program.birth_mean.shape[1],
+                    sensor.size,
+                    2 * sensor.axes,
+                    program.error.shape[2],
+                    program.excitation.shape[1],
+                    max(len(program.outer_chain), len(program.inner_chain)),
                 )
             )
         return scratch.work.handle
@@ -266,7 +274,7 @@ class BankEstimator:
             state.phase.copy(),
             state.layout,
         )
-        advance_one(self._handle.handle, self._work(), desk.inputs.handle, desk.outputs.handle, following)
+        self._advance_row(desk, following)
         _, _, _, log_likelihood, nis, nis_dof, status = desk.outputs.record
         axes = self.bank.sensor.axes
         mean = following.kin_mean[0].copy()
@@ -281,6 +289,23 @@ class BankEstimator:
             nis_dof[0, 0],
             status[0, 0],
         )
+
+    @property
+    def intents(self) -> tuple[str, ...]:
+        """Names of the intents, in the order of `intent_probs`."""
+        return intent_names(self.bank)
+
+    def intent_probs(self, estimates: Estimates) -> Floats:
+        """Probability of each intent, whatever the noise; (B, T, I)."""
+        return intent_probs(self.bank, estimates.mode_probs)
+
+    def surge_probability(self, estimates: Estimates) -> Floats:
+        """Probability that the measurement noise is above its lowest level; (B, T)."""
+        return surge_probability(self.bank, estimates.mode_probs)
+
+    def noise_scale(self, estimates: Estimates) -> Floats:
+        """Expected factor on the measurement noise R; (B, T)."""
+        return noise_scale(self.bank, estimates.mode_probs)
 
     def forecast(self, state: State, horizon: float, *, weights: str = "W1", steps: int = 1) -> tuple[Floats, Floats]:
         """Position ``horizon`` seconds ahead.
@@ -389,12 +414,8 @@ class BankEstimator:
                     np.broadcast_to(inputs.times, (tracks, rows)), np.minimum(inputs.first, rows - 1)[:, None], axis=1
                 )[:, 0]
             state.phase[:] = np.where(used, LOCATED, PRIOR)
-            begin_tracks(
-                self._handle.handle,
-                self._work(),
-                np.concatenate([started.position, started.velocity], axis=1),
-                np.ascontiguousarray(started.covariance),
-                state,
+            begin_at_measurements(
+                self.bank, started, inputs, self._program.noise_scale, self._handle.handle, self._work(), state
             )
         else:
             take_prior(self.bank, prior, self._handle.handle, self._work(), state, inputs.times)
@@ -402,13 +423,21 @@ class BankEstimator:
         history = self._history(tracks, rows if keep else 0)
         in_parallel(
             self.threads,
-            lambda low, high: advance(self._handle.handle, self._work(), state, inputs, outputs, history, low, high),
+            lambda low, high: self._advance(state, inputs, outputs, history, low, high),
             tracks,
             rows,
             progress,
         )
         fill_outside(inputs, outputs, history, self.bank.start_probs)
         return state, outputs, history
+
+    def _advance(self, state: State, inputs: Inputs, outputs: Outputs, history: History, low: int, high: int) -> None:
+        """All rows of tracks ``low`` to ``high``."""
+        advance(self._handle.handle, self._work(), state, inputs, outputs, history, low, high)
+
+    def _advance_row(self, desk: Desk, state: State) -> None:
+        """The row on the desk."""
+        advance_one(self._handle.handle, self._work(), desk.inputs.handle, desk.outputs.handle, state)
 
     def _blank(self, tracks: int) -> State:
         state = make_state(tracks, len(self.modes), self._program.angular.shape[1], 2 * self.bank.sensor.axes)

@@ -13,10 +13,12 @@ from jink.estimators.markov import MarkovChain
 from jink.estimators.motion import Motion
 from jink.estimators.program import INTERACTIONS, Program, make_program
 from jink.estimators.sensor import Sensor
+from jink.estimators.treatments import TREATMENTS, Adaptive, BoundedTails, HeavyTails, Level, Treatment, Uncertain
 
 __all__ = ["Bank", "Mode"]
 
 _RESET_QUANTILE = 0.999
+_ADAPTING = (Adaptive, BoundedTails, HeavyTails)
 
 
 @dataclass(frozen=True)
@@ -26,10 +28,50 @@ class Mode:
     Args:
         name: shown in tables and plots.
         motion: how it moves.
+        treatment: what it does about noise and model error: one of `TREATMENTS`, or several kinds; None: nothing.
+        intent: modes of one intent differ in their treatment only, and a switch among them is no birth; None: the
+            mode's name.
+
+    Raises:
+        ValueError: treatments that exclude each other, or do not fit the motion.
     """
 
     name: str
     motion: Motion
+    treatment: Treatment | tuple[Treatment, ...] | None = None
+    intent: str | None = None
+
+    def __post_init__(self) -> None:
+        kinds = ["adaptive" if isinstance(item, _ADAPTING) else type(item).__name__ for item in self.treatments]
+        known = tuple(TREATMENTS.values())
+        if not all(isinstance(item, known) for item in self.treatments) or len(set(kinds)) != len(kinds):
+            raise ValueError(
+                f"Mode: treatment of {self.name} must be one of {', '.join(kind.__name__ for kind in known)} or one "
+                f"of each (only one of Adaptive, BoundedTails, HeavyTails); got {self.treatment!r}. Drop one."
+            )
+        for item in self.treatments:
+            if isinstance(item, Uncertain) and item.size != self.motion.size:
+                raise ValueError(
+                    f"Mode: treatment of {self.name} must have error with {self.motion.size} rows, one per component "
+                    f"of its motion; got {item.size}. Components are {', '.join(self.motion.labels)}."
+                )
+
+    @property
+    def treatments(self) -> tuple[Treatment, ...]:
+        """Its treatments, none or more."""
+        if self.treatment is None:
+            return ()
+        return self.treatment if isinstance(self.treatment, tuple) else (self.treatment,)
+
+    @property
+    def purpose(self) -> str:
+        """Its intent, whatever its treatment."""
+        return self.name if self.intent is None else self.intent
+
+    @property
+    def noise_scale(self) -> float:
+        """Factor on R that this mode stands for: that of its `Level`, else 1."""
+        return next((item.scale for item in self.treatments if isinstance(item, Level)), 1.0)
 
 
 @dataclass(frozen=True)
@@ -52,6 +94,9 @@ class Bank:
         reset_prob: ``reset`` begins a mode again below this probability.
         reset_nis: or when its running mean of NIS per component exceeds this; None: the 99.9 % chi-square bound.
         every_sigma_point: use sigma points also where a matrix gives the same numbers (for comparisons).
+        shared: modes of one intent differ in their `Level` only and share one prediction: before each step they are
+            collapsed to their common mean and covariance. A product of I intents and L noise levels then costs I
+            modes and L cheap updates of each.
 
     Raises:
         ValueError: parts that do not fit; the sentence names them.
@@ -74,6 +119,7 @@ class Bank:
     reset_prob: float = 1e-3
     reset_nis: float | None = None
     every_sigma_point: bool = False
+    shared: bool = False
 
     def __post_init__(self) -> None:
         if not self.modes:
@@ -100,6 +146,22 @@ class Bank:
             raise ValueError(
                 f"Bank: interaction must be one of {', '.join(INTERACTIONS)}; got {self.interaction!r}. Pick one."
             )
+        members: dict[str, Mode] = {}
+        for mode in self.modes:
+            if members.setdefault(mode.purpose, mode).motion != mode.motion:
+                raise ValueError(
+                    f"Bank: modes of intent {mode.purpose} must have the same motion; got different ones in "
+                    f"{members[mode.purpose].name} and {mode.name}. Give them different intents."
+                )
+        for mode in self.modes if self.shared else ():
+            rest = [
+                tuple(i for i in one.treatments if not isinstance(i, Level)) for one in (mode, members[mode.purpose])
+            ]
+            if rest[0] != rest[1] or any(isinstance(item, Uncertain) for item in rest[0]):
+                raise ValueError(
+                    f"Bank: shared must be off unless modes of one intent differ in their Level only and none is "
+                    f"Uncertain; got {mode.name} with {rest[0]}. Use shared=False."
+                )
         if self.initial_probs is not None:
             probs = np.asarray(self.initial_probs, dtype=np.float64)
             if probs.shape != (len(self.modes),) or not np.all(probs >= 0) or abs(probs.sum() - 1) > 1e-9:
@@ -152,6 +214,10 @@ class Bank:
             reset_prob=self.reset_prob,
             reset_nis=bound,
             every_sigma_point=self.every_sigma_point,
+            treatments=tuple(mode.treatments for mode in self.modes),
+            intents=tuple(mode.purpose for mode in self.modes),
+            shared=self.shared,
+            chain_factors=None if chain.factors is None else (chain.factors[0].rates, chain.factors[1].rates),
         )
 
     def with_(self, **changes: object) -> Bank:

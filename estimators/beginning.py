@@ -14,7 +14,34 @@ from jink.estimators.inputs import Prior, check_moments
 from jink.estimators.records import ABSURD, LOCATED, PRIOR, Inputs, State
 from jink.estimators.starting import StartBatch, start_batch
 
-__all__ = ["locate", "take_prior"]
+__all__ = ["begin_at_measurements", "locate", "take_prior"]
+
+
+def begin_at_measurements(
+    bank: Bank, started: StartBatch, inputs: Inputs, scales: NDArray[np.float64], program: Any, work: Any, state: State
+) -> None:
+    """Begin every mode where its own measurement noise puts the target: a first measurement may be an outlier.
+
+    Args:
+        bank: whose modes they are.
+        started: starts of all tracks with the nominal noise.
+        inputs: measurements.
+        scales: factor on R of each mode; (M,).
+        program, work: handles.
+        state: written to; its position and velocity are those of the mixture.
+    """
+    for scale in np.unique(scales):
+        own = started
+        if scale != 1.0:
+            own = locate(bank, inputs._replace(noise=inputs.noise * scale))
+            alike = (own.index == started.index) & (own.seen == started.seen) & (own.ok == started.ok)
+            own = StartBatch(
+                *(np.where(alike.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in zip(own, started, strict=True))
+            )
+        kin_mean = np.concatenate([own.position, own.velocity], axis=1)
+        begin_tracks(program, work, kin_mean, np.ascontiguousarray(own.covariance), scales == scale, state)
+    if (scales != 1.0).any():
+        forecast_states(program, work, state, 0.0, 0, False, state.kin_mean, state.kin_cov)
 
 
 def locate(bank: Bank, inputs: Inputs) -> StartBatch:
@@ -84,6 +111,7 @@ def take_prior(bank: Bank, prior: Prior, program: Any, work: Any, state: State, 
             work,
             np.ascontiguousarray(np.broadcast_to(mean, (tracks, kin))),
             np.ascontiguousarray(np.broadcast_to(cov, (tracks, kin, kin))),
+            np.ones(len(bank.modes), dtype=np.bool_),
             state,
         )
     if prior.mode_probs is not None:

@@ -17,6 +17,7 @@ from jink.estimators.records import ABSURD, INPUTS, LOCATED, OUTPUTS, RUNNING, S
 from jink.estimators.reference import by_reference
 from jink.estimators.soundness import drop_impossible_correlations, sound_moments, usable_components, widen
 from jink.estimators.status import DIVERGED, MISSING, OK, REPAIRED, STARTING
+from jink.estimators.treatment_kernels import ERRING, hedge
 
 __all__ = ["advance", "advance_one", "begin_tracks"]
 
@@ -37,8 +38,25 @@ def _step_chain(program, work, inputs, b, t, dt):
     elif program.per_step:
         copy_matrix(program.chain, work.chain, modes)
     elif work.cached_dt[modes] != dt:
-        transition_matrix(program.chain, dt, modes, work.chain_scratch, work.chain)
+        if program.outer_chain.size > 0:
+            _product_chain(program, work, dt)
+        else:
+            transition_matrix(program.chain, dt, modes, work.chain_scratch, work.chain)
         work.cached_dt[modes] = dt
+
+
+@inner_kernel
+def _product_chain(program, work, dt):
+    """Transition matrix of independent chains: the Kronecker product of theirs, far cheaper than that of the sum."""
+    outer, inner, scratch = work.product_chains[0], work.product_chains[1], work.product_chains[2]
+    intents, levels = program.outer_chain.shape[0], program.inner_chain.shape[0]
+    transition_matrix(program.outer_chain, dt, intents, scratch, outer)
+    transition_matrix(program.inner_chain, dt, levels, scratch, inner)
+    for i in range(intents):
+        for k in range(intents):
+            for a in range(levels):
+                for b in range(levels):
+                    work.chain[i * levels + a, k * levels + b] = outer[i, k] * inner[a, b]
 
 
 @piece(types.boolean, PROGRAM, WORK, MATRIX, STACK, VECTOR, VECTOR)
@@ -85,6 +103,12 @@ def step(program, work, state, inputs, outputs, b, t):
         good = False
     else:
         state.time[b] = now
+    z = inputs.measurements[b, t]
+    R = inputs.noise[b if inputs.noise.shape[0] > 1 else 0, t if inputs.noise.shape[1] > 1 else 0]
+    sensor = inputs.sensors[b if inputs.sensors.shape[0] > 1 else 0, t if inputs.sensors.shape[1] > 1 else 0]
+    d, clean = usable_components(program, work, z, R, sensor)
+    good = good and clean
+    shared = program.shared and state.phase[b] == RUNNING  # a prior is still each mode's own
     if state.phase[b] == RUNNING:
         _step_chain(program, work, inputs, b, t, dt)
         good = interact(program, work, mean, cov, probs) and good
@@ -95,17 +119,15 @@ def step(program, work, state, inputs, outputs, b, t):
                 work.mixed_mean[j, i] = mean[j, i]
             copy_rows(cov[j], work.mixed_cov[j], program.sizes[j])
         state.phase[b] = RUNNING
-    z = inputs.measurements[b, t]
-    R = inputs.noise[b if inputs.noise.shape[0] > 1 else 0, t if inputs.noise.shape[1] > 1 else 0]
-    sensor = inputs.sensors[b if inputs.sensors.shape[0] > 1 else 0, t if inputs.sensors.shape[1] > 1 else 0]
-    d, clean = usable_components(program, work, z, R, sensor)
-    good = good and clean
     lost = False
     for j in range(modes):
-        m, P = work.predicted_mean[j], work.predicted_cov[j]
+        leader = program.leader[j] if shared else j
+        m, P = work.predicted_mean[leader], work.predicted_cov[leader]
         n = program.sizes[j]
-        good = predict_mode(program, work, j, work.mixed_mean[j], work.mixed_cov[j], dt, m, P) and good
-        sound = sound_moments(m, P, n, work.mixed_cov[j])
+        sound = 2
+        if leader == j:
+            good = predict_mode(program, work, j, work.mixed_mean[j], work.mixed_cov[j], dt, m, P) and good
+            sound = sound_moments(m, P, n, work.mixed_cov[j])
         if sound == 0:
             if not lost:
                 widen(state.kin_cov[b])
@@ -113,6 +135,8 @@ def step(program, work, state, inputs, outputs, b, t):
             birth(program, work, j, state.kin_mean[b], state.kin_cov[b], m, P)
         work.log_density[j] = 0.0
         if d > 0:
+            if program.treated[j] & ERRING:
+                hedge(program, work, j, work.mixed_mean[j], work.mixed_cov[j], sensor, d, m, P)
             density, nis, fine = update_mode(program, work, j, m, P, sensor, z, d, mean[j], cov[j])
             work.log_density[j] = density
             sound = sound_moments(mean[j], cov[j], n, P)
@@ -219,11 +243,12 @@ def advance_one(program_handle, work_handle, inputs_handle, outputs_handle, stat
 
 
 @entry_kernel
-def begin_tracks(program_handle, work_handle, kin_mean, kin_cov, state):
-    """Begin every mode of every track at its position and velocity: a start is a birth of all intents."""
+def begin_tracks(program_handle, work_handle, kin_mean, kin_cov, chosen, state):
+    """Begin the ``chosen`` modes (M,) of every track at a position and velocity: a start is a birth of all intents."""
     program, work = program_at(program_handle), work_at(work_handle)
     for b in range(state.mean.shape[0]):
         for j in range(state.mean.shape[1]):
-            birth(program, work, j, kin_mean[b], kin_cov[b], state.mean[b, j], state.cov[b, j])
+            if chosen[j]:
+                birth(program, work, j, kin_mean[b], kin_cov[b], state.mean[b, j], state.cov[b, j])
         copy_vector(kin_mean[b], state.kin_mean[b])
         copy_matrix(kin_cov[b], state.kin_cov[b], state.kin_cov.shape[1])

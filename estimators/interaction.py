@@ -9,8 +9,8 @@ from __future__ import annotations
 from numba import types
 
 from jink.estimators.compiled import call_assemble, call_own, call_transition, inner_kernel
+from jink.estimators.kinematics import kinematics_of
 from jink.estimators.linalg import average, cholesky, clear_rows, clear_tails, copy_rows, outer_add, wrap_angle
-from jink.estimators.modes import kinematics_of
 from jink.estimators.pieces import MATRIX, PROGRAM, STACK, VECTOR, WORK, piece
 from jink.estimators.program import BIRTH, NONE, RESET
 from jink.estimators.unscented import draw_points, point_weights, points_covariance, points_mean
@@ -205,6 +205,7 @@ def birth(program, work, p, kin_mean, kin_cov, m_out, P_out):
 def _moment_match(program, work, p, means, covs, n, m_out, P_out):
     """Mean and covariance of the mixture ``sum_q weights[q] N(means[q], covs[q])`` for mode ``p``."""
     modes, weights, spreads, scaled = program.sizes.size, work.weights, work.points, work.scaled
+    widening = program.spread_scale[p]
     for i in range(n):
         total = 0.0
         for q in range(modes):
@@ -217,28 +218,86 @@ def _moment_match(program, work, p, means, covs, n, m_out, P_out):
         for i in range(n):
             spread = means[q, i] - m_out[i] if weight > 0.0 else 0.0
             spreads[q, i] = spread
-            scaled[q, i] = weight * spread
+            scaled[q, i] = weight * spread * widening
     outer_add(P_out, scaled, spreads, 0, modes, 1.0, n)
 
 
+@inner_kernel
+def _collapse(program, work, mean, cov, probs):
+    """Moments of each intent over its noise levels into ``work.predicted_*`` of its first mode; all modes' priors."""
+    modes, weights, chain = program.sizes.size, work.weights, work.chain
+    for p in range(modes):
+        total = 0.0
+        for q in range(modes):
+            total += chain[q, p] * probs[q]
+        work.prior[p] = total
+    for p in range(modes):
+        if program.leader[p] != p:
+            continue
+        n = program.sizes[p]
+        total, heaviest = 0.0, p
+        for q in range(modes):
+            weights[q] = probs[q] if program.leader[q] == p else 0.0
+            total += weights[q]
+            if weights[q] > weights[heaviest]:
+                heaviest = q
+        if not total > 0.0:
+            weights[p] = total = 1.0
+        for q in range(modes):
+            weights[q] /= total
+            if weights[q] > 0.0:
+                for i in range(n):
+                    work.part_mean[q, i] = mean[q, i]
+                    if program.angular[p, i]:
+                        work.part_mean[q, i] = mean[heaviest, i] + wrap_angle(mean[q, i] - mean[heaviest, i])
+        _moment_match(program, work, p, work.part_mean, cov, n, work.predicted_mean[p], work.predicted_cov[p])
+
+
+@inner_kernel
+def _weigh_intents(program, work, probs, p):
+    """Joint probability of each intent before, at its first mode, and intent ``p`` now, into ``work.weights``."""
+    modes, weights, chain = program.sizes.size, work.weights, work.chain
+    for q in range(modes):
+        weights[q] = 0.0
+    total = 0.0
+    for q in range(modes):
+        share = 0.0
+        for now in range(modes):
+            if program.leader[now] == p:
+                share += chain[q, now] * probs[q]
+        weights[program.leader[q]] += share
+        total += share
+    return total
+
+
 @piece(types.boolean, PROGRAM, WORK, MATRIX, STACK, VECTOR)
-def interact(program, work, mean, cov, probs):
+def interact(program, work, own_mean, own_cov, probs):
     """Prior mode probabilities, and each mode's starting point for this step.
 
     Model: ``cbar_p = sum_q Pi[q, p] mu_q``; weights ``mu_q|p = Pi[q, p] mu_q / cbar_p``; mode ``p`` starts from the
     moments of the mixture of all converted states. With rules ``none`` and ``reset`` it starts from its own.
+    Where modes of one intent share their prediction, intents take the place of modes: levels are collapsed first.
     Fills ``work.prior`` (M,), ``work.mixed_mean``, ``work.mixed_cov``; returns whether all went well.
     Source: Blom & Bar-Shalom (1988). Differs: unlike states are converted first; births are ours.
     """
     modes, weights, chain = program.sizes.size, work.weights, work.chain
     good = True
+    mean, cov = own_mean, own_cov
+    if program.shared:
+        _collapse(program, work, mean, cov, probs)
+        mean, cov = work.predicted_mean, work.predicted_cov
     for p in range(modes):
+        if program.leader[p] != p:
+            continue
         n = program.sizes[p]
         total = 0.0
-        for q in range(modes):
-            weights[q] = chain[q, p] * probs[q]
-            total += weights[q]
-        work.prior[p] = total
+        if program.shared:
+            total = _weigh_intents(program, work, probs, p)
+        else:
+            for q in range(modes):
+                weights[q] = chain[q, p] * probs[q]
+                total += weights[q]
+            work.prior[p] = total
         separate = program.rule == NONE or program.rule == RESET or not total > 0.0
         if not separate:
             others = 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -111,6 +111,7 @@ class MarkovChain:
     Args:
         generator: rates 1/s, off-diagonal >= 0, rows sum to 0; (M, M).
         matrix: probabilities per step, rows sum to 1; (M, M).
+        factors: set by `beside`: the two chains in continuous time that this one is the product of.
 
     Raises:
         ValueError: neither or both given, or the given one is no generator or no Markov matrix.
@@ -118,6 +119,7 @@ class MarkovChain:
 
     generator: tuple[tuple[float, ...], ...] | None = None
     matrix: tuple[tuple[float, ...], ...] | None = None
+    factors: tuple[MarkovChain, MarkovChain] | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         if (self.generator is None) == (self.matrix is None):
@@ -141,6 +143,11 @@ class MarkovChain:
                 "MarkovChain: generator must have off-diagonal rates >= 0 and rows that sum to 0; got "
                 f"{rates.tolist()}. Put minus the sum of the other rates on the diagonal."
             )
+
+    @property
+    def rates(self) -> NDArray[np.float64]:
+        """Generator (M, M), 1/s; only of a chain in continuous time."""
+        return np.array(self.generator, dtype=np.float64)
 
     @property
     def modes(self) -> int:
@@ -199,6 +206,25 @@ class MarkovChain:
             )
         off = np.maximum(off, 0.0)
         return cls(generator=_rows(off - np.diag(off.sum(axis=1))))
+
+    def beside(self, other: MarkovChain) -> MarkovChain:
+        """The chain of pairs (mode of this one, mode of ``other``), last index fastest, of two independent chains.
+
+        The generator is the Kronecker sum of theirs, a matrix per step the Kronecker product.
+
+        Raises:
+            ValueError: one is in continuous time, the other per step.
+        """
+        if (self.matrix is None) != (other.matrix is None):
+            raise ValueError(
+                "MarkovChain.beside: other must be in continuous time if this one is, else per step; got one of each. "
+                "Use from_matrix to make a matrix per step continuous."
+            )
+        if self.matrix is not None:
+            return MarkovChain(matrix=_rows(np.kron(np.array(self.matrix), np.array(other.matrix))))
+        ours, theirs = np.eye(self.modes), np.eye(other.modes)
+        rates = np.kron(np.array(self.generator), theirs) + np.kron(ours, np.array(other.generator))
+        return MarkovChain(generator=_rows(rates), factors=(self, other))
 
     def at(self, dt: float) -> NDArray[np.float64]:
         """Transition matrix (M, M) over ``dt`` seconds (the fixed matrix for a per-step chain)."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from numba import types
 
-from jink.estimators.compiled import call_kinematics, call_noise, call_observe, call_transition, inner_kernel
+from jink.estimators.compiled import call_noise, call_observe, call_transition, inner_kernel
 from jink.estimators.kalman import gaussian_update, posterior_from_deviations, predict_linear
+from jink.estimators.kinematics import kinematics_of
 from jink.estimators.linalg import (
     cholesky,
     clear_rows,
@@ -17,23 +18,13 @@ from jink.estimators.linalg import (
     wrap_angle,
 )
 from jink.estimators.pieces import MATRIX, PROGRAM, VECTOR, WORK, piece
+from jink.estimators.treatment_kernels import ADAPTING, adapt_noise, finish_treated, prepare_noise
 from jink.estimators.unscented import draw_points, point_weights, points_mean, unscented_predict
 
-__all__ = ["kinematics_of", "mode_kinematics", "predict_mode", "process_noise", "update_mode"]
+__all__ = ["mode_kinematics", "predict_mode", "process_noise", "update_mode"]
 
 _NODES = (0.1127016653792583, 0.5, 0.8872983346207417)
 _NODE_WEIGHTS = (0.2777777777777778, 0.4444444444444444, 0.2777777777777778)
-
-
-@inner_kernel
-def kinematics_of(program, j, x, out):
-    """Position and velocity (2A,) of a state of mode ``j``."""
-    index = program.kin_index[j]
-    if index[0] >= 0:
-        for i in range(out.size):
-            out[i] = x[index[i]]
-    else:
-        call_kinematics(program.kinematics[j], x[: program.sizes[j]], program.params[j, : program.param_counts[j]], out)
 
 
 @inner_kernel
@@ -45,8 +36,13 @@ def process_noise(program, work, j, x, dt, Q):
     """
     n = program.sizes[j]
     clear_rows(Q, n)
+    weight = program.process_scale[j]
     if program.noise[j] != 0:
         call_noise(program.noise[j], x[:n], dt, program.params[j, : program.param_counts[j]], Q[:n, :n])
+        if weight != 1.0:
+            for i in range(n):
+                for k in range(n):
+                    Q[i, k] *= weight
         return
     params = program.params[j, : program.param_counts[j]]
     for c in range(n):
@@ -61,7 +57,7 @@ def process_noise(program, work, j, x, dt, Q):
                 call_transition(program.transition[j], work.points[0, :n], duration, params, work.moved[0, :n])
                 work.points[0, c] = x[c] - step
                 call_transition(program.transition[j], work.points[0, :n], duration, params, work.moved[1, :n])
-                scale = dt * _NODE_WEIGHTS[node] * density / (4.0 * step * step)
+                scale = dt * _NODE_WEIGHTS[node] * density / (4.0 * step * step) * weight
                 for i in range(n):
                     slope = work.moved[0, i] - work.moved[1, i]
                     for k in range(n):
@@ -205,7 +201,12 @@ _UPDATED = types.Tuple((types.float64, types.float64, types.boolean))
 @piece(_UPDATED, PROGRAM, WORK, types.int64, VECTOR, MATRIX, VECTOR, VECTOR, types.int64, VECTOR, MATRIX)
 def update_mode(program, work, j, m, P, sensor, z, d, m_out, P_out):
     """Posterior of mode ``j`` given the ``d`` components present; returns (log density, NIS, whether all went well)."""
+    treated, density = program.treated[j], 0.0
+    if treated:
+        prepare_noise(program, work, j, d)
     linear, good = measure_mode(program, work, j, m, P, sensor, z, d)
+    if treated & ADAPTING:
+        density = adapt_noise(program, work, j, d)
     copy_rows(work.S, work.S_modes[j], d)
     log_density, nis, definite, lost = gaussian_update(
         m, P, work.R, work.cross, work.S, work.innovation[j], d, program.sizes[j],
@@ -213,6 +214,8 @@ def update_mode(program, work, j, m, P, sensor, z, d, m_out, P_out):
     )  # fmt: skip
     if lost:
         careful_covariance(program, work, j, linear, P, d, P_out)
+    if treated:
+        log_density = finish_treated(program, work, j, d, density, log_density, nis, P_out)
     return log_density, nis, good and definite
 
 

@@ -11,6 +11,8 @@ from jink.estimators.motion import Motion
 from jink.estimators.pieces import PROGRAM, WORK, piece_addresses
 from jink.estimators.reference import record_type, reference_reader
 from jink.estimators.sensor import Sensor
+from jink.estimators.treatment_tables import treatment_tables
+from jink.estimators.treatments import Treatment
 
 __all__ = [
     "BIRTH",
@@ -72,6 +74,27 @@ class Program(NamedTuple):
     min_prob: float
     reset_prob: float
     reset_nis: float
+    shared: bool  # modes of one intent share their prediction
+    leader: Ints  # (M,) first mode of the intent where they share; else the mode itself
+    outer_chain: Floats  # (I, I) and (L, L): generators whose Kronecker sum the chain is, or (0, 0)
+    inner_chain: Floats
+    treated: Ints  # (M,) noise treatments: see `TreatmentTables` for all of these
+    noise_scale: Floats
+    process_scale: Floats
+    spread_scale: Floats
+    factor: Ints
+    thresholds: Floats
+    cap: Floats
+    density: Ints
+    dof: Floats
+    density_constant: Floats
+    reset_scale: Floats
+    error: Floats
+    excitation: Floats
+    noise_excitation: Floats
+    error_count: Ints
+    excitation_count: Ints
+    alpha: Floats
 
 
 class Work(NamedTuple):
@@ -121,16 +144,48 @@ class Work(NamedTuple):
     ahead: Floats
     behind: Floats
     no_chains: Floats
+    product_chains: Floats
+    noise_kept: Floats
+    noise_own: Floats
+    noise_new: Floats
+    HPH: Floats
+    statistic: Floats
+    regulation: Floats
+    seen_error: Floats
+    robust_noise: Floats
+    robust: Floats
+    hedge_cross: Floats
+    hedge_gain: Floats
+    hedge_noise: Floats
+    hedge_seen: Floats
+    hedge_factor: Floats
+    hedge_whitened: Floats
+    hedge_innovation: Floats
 
 
-def make_work(modes: int, states: int, own: int, measured: int, kin: int) -> Work:
-    """Scratch arrays for M modes, N padded states, K own parameters, D measured components, 2A kinematics."""
+def make_work(
+    modes: int,
+    states: int,
+    own: int,
+    measured: int,
+    kin: int,
+    errors: int = 1,
+    excitations: int = 1,
+    factors: int = 0,
+) -> Work:
+    """Scratch arrays for M modes, N padded states, K own parameters, D measured components, 2A kinematics.
+
+    ``errors``, ``excitations``: columns of M and rows of E of uncertain modes; ``factors``: modes of the larger
+    factor of a product chain.
+    """
     joint = (states + own + 7) // 8 * 8
     wide = (measured + 7) // 8 * 8
     few = (own + 7) // 8 * 8
     seven = (kin + 7) // 8 * 8
     both = (kin + own + 7) // 8 * 8
     points = max(2 * joint + 1, modes)
+    broad = (max(measured, errors) + 7) // 8 * 8
+    excited = (excitations + 7) // 8 * 8
     cached_dt = np.full(modes + 1, np.nan)
     return Work(
         cached_dt,
@@ -177,6 +232,23 @@ def make_work(modes: int, states: int, own: int, measured: int, kin: int) -> Wor
         np.zeros(kin),
         np.zeros(kin),
         np.zeros((0, modes, modes)),
+        np.zeros((3, factors, factors)),
+        np.zeros((measured, wide)),
+        np.zeros((measured, wide)),
+        np.zeros((measured, wide)),
+        np.zeros((measured, wide)),
+        np.zeros((2 * measured, wide)),
+        np.zeros(modes),
+        np.zeros((measured, broad)),
+        np.zeros((measured, wide)),
+        np.zeros((3, max(measured, errors), broad)),
+        np.zeros((excitations, states)),
+        np.zeros((excitations, states)),
+        np.zeros((excitations, excited)),
+        np.zeros((excitations, excited)),
+        np.zeros((excitations, excited)),
+        np.zeros((excitations, 8)),
+        np.zeros(excitations),
     )
 
 
@@ -192,6 +264,10 @@ def make_program(
     reset_prob: float,
     reset_nis: float,
     every_sigma_point: bool,
+    treatments: tuple[tuple[Treatment, ...], ...] = (),
+    intents: tuple[str, ...] = (),
+    shared: bool = False,
+    chain_factors: tuple[Floats, Floats] | None = None,
 ) -> Program:
     """The tables of a bank; every function of its motions is compiled (or loaded from the cache) here.
 
@@ -206,6 +282,10 @@ def make_program(
         reset_prob: probability under which `RESET` starts a mode afresh.
         reset_nis: average of normalised innovation squared above which it does.
         every_sigma_point: use sigma points even where a matrix would do.
+        treatments: noise treatments of each mode; empty: none.
+        intents: what each mode is about: among modes of one intent all components carry over; empty: all differ.
+        shared: modes of one intent share their prediction.
+        chain_factors: generators (I, I), (L, L) whose Kronecker sum ``chain`` is; None: it is no product.
 
     Returns:
         The `Program`.
@@ -236,7 +316,10 @@ def make_program(
         params[j, : len(motion.params)] = motion.params
         birth_mean[j, : len(motion.own_labels)] = motion.birth_mean
         birth_cov[j, range(len(motion.own_labels)), range(len(motion.own_labels))] = np.square(motion.birth_sd)
-    source, gathered, drawn, use_acceleration = _conversions(motions, rule, states)
+    intents = intents or tuple(str(j) for j in range(modes))
+    source, gathered, drawn, use_acceleration = _conversions(motions, intents, rule, states)
+    sizes = tuple(motion.size for motion in motions)
+    treated = treatment_tables(treatments or ((),) * modes, sizes, states, sensor.size)
     matrix = np.zeros((sensor.size, kin))
     if sensor.linear:
         for i in range(kin):
@@ -283,11 +366,16 @@ def make_program(
         min_prob=float(min_prob),
         reset_prob=float(reset_prob),
         reset_nis=float(reset_nis),
+        shared=shared,
+        leader=np.array([intents.index(intent) if shared else j for j, intent in enumerate(intents)], dtype=np.int64),
+        outer_chain=np.zeros((0, 0)) if chain_factors is None else np.ascontiguousarray(chain_factors[0]),
+        inner_chain=np.zeros((0, 0)) if chain_factors is None else np.ascontiguousarray(chain_factors[1]),
+        **treated._asdict(),
     )
 
 
 def _conversions(
-    motions: tuple[Motion, ...], rule: int, states: int
+    motions: tuple[Motion, ...], intents: tuple[str, ...], rule: int, states: int
 ) -> tuple[Ints, NDArray[np.bool_], Ints, NDArray[np.bool_]]:
     """Which component of each other state a component continues, and where components alone do not tell.
 
@@ -302,14 +390,15 @@ def _conversions(
     for p, to in enumerate(motions):
         for q, old in enumerate(motions):
             carried = set(to.kinematic_labels)
-            if p == q or (rule == MIX and to.labels == old.labels):
+            same = intents[p] == intents[q]
+            if same or (rule == MIX and to.labels == old.labels):
                 carried = set(to.labels)
             elif rule == MIX:
                 carried |= set(to.labels) & set(old.labels)
             elif rule != BIRTH:
                 use_acceleration[p, q] = old.jet_order == 2 and to.own_from_jet is not None
-            alike = p == q or to.labels == old.labels
-            gathered[p, q] = (alike and rule == MIX) or p == q or (to.cartesian and old.cartesian)
+            alike = same or to.labels == old.labels
+            gathered[p, q] = (alike and rule == MIX) or same or (to.cartesian and old.cartesian)
             gathered[p, q] = gathered[p, q] and not (use_acceleration[p, q] and p != q)
             for i, label in enumerate(to.labels):
                 if label in carried and label in old.labels:
@@ -327,7 +416,8 @@ def _example() -> Program:
         ints, ints, ints, tables, tables, flags, flags.reshape(0, 0), floats, floats, ints, floats,
         floats.reshape(0, 0, 0),
         ints, ints, ints, ints, ints, 0, False, tables.reshape(0, 0, 0), flags.reshape(0, 0), tables,
-        flags.reshape(0, 0), 0, np.zeros(0), False, floats, flags, np.zeros(0), False, floats, 0.0, 0.0, 0.0,
+        flags.reshape(0, 0), 0, np.zeros(0), False, floats, flags, np.zeros(0), False, floats, 0.0, 0.0, 0.0, False,
+        ints, floats, floats, *treatment_tables((), (), 8, 1),
     )  # fmt: skip
 
 

@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from jink.estimators.adaptive_estimator import AdaptiveEstimator, NoiseAdaptation
 from jink.estimators.api import BankEstimator
 from jink.estimators.bank import Bank, Mode
+from jink.estimators.factors import LARGEST_INFLATION
+from jink.estimators.joint import joint_bank
 from jink.estimators.markov import MarkovChain
 from jink.estimators.motions import (
     constant_acceleration,
@@ -23,9 +26,12 @@ from jink.estimators.motions import (
     swing,
 )
 from jink.estimators.sensor import Sensor
+from jink.estimators.treatments import Adaptive, HeavyTails, Uncertain
 
 __all__ = ["RECIPES", "Scales", "make_estimator"]
 
+ROBUST_FACTORS = ("mr", "huber", "rma", "mahalanobis")
+_STAY = 0.9
 _QUIET = 0.05
 """A straight leg wobbles with this share of the target's acceleration."""
 
@@ -141,6 +147,37 @@ def intent_imm(sensor: Sensor, scales: Scales) -> Bank:
     return _many(modes, sensor, scales, "birth")
 
 
+def student_t_imm(sensor: Sensor, scales: Scales, dof: float = 5.0, matrices: str = "scale") -> Bank:
+    """Student-t interacting models (CN109491241B): those of imm, with heavy tails in state, motion and measurement."""
+    bank = imm(sensor, scales)
+    tails = HeavyTails(dof, matrices=matrices)
+    return bank.with_(modes=tuple(replace(mode, treatment=tails) for mode in bank.modes))
+
+
+def robust_imm(
+    sensor: Sensor,
+    scales: Scales,
+    uncertain: Uncertain | None = None,
+    likelihood: str = "t",
+    factors: tuple[str, ...] = ROBUST_FACTORS,
+    cap: float = LARGEST_INFLATION,
+) -> Bank:
+    """Robust interacting estimators (CN202211618386): one adaptive factor per mode over one constant velocity."""
+    motion = constant_velocity(sensor.axes, acceleration_density=scales.acceleration**2)
+    common = () if uncertain is None else (uncertain,)
+    modes = tuple(Mode(name, motion, (*common, Adaptive(name, likelihood, cap=cap)), intent="cv") for name in factors)
+    count = len(factors)
+    if count == 1:
+        return Bank(modes, sensor, speed=scales.speed)
+    matrix = [[_STAY if i == j else (1.0 - _STAY) / (count - 1) for j in range(count)] for i in range(count)]
+    return Bank(modes, sensor, chain=MarkovChain.per_step(matrix), speed=scales.speed)
+
+
+def joint_imm(sensor: Sensor, scales: Scales) -> Bank:
+    """Joint bank (ours): the intents of intent-imm times noise levels: manoeuvre and surge compete."""
+    return joint_bank(intent_imm(sensor, scales))
+
+
 def _turn(axes: int, scales: Scales, wobble: float):  # type: ignore[no-untyped-def]
     if axes == 1:
         raise ValueError("make_estimator: sensor must have 2 or 3 axes for a turn; got 1. Use kf-cv, kf-ca or singer.")
@@ -157,15 +194,36 @@ def _many(modes: list[Mode], sensor: Sensor, scales: Scales, interaction: str) -
     return Bank(tuple(modes), sensor, chain=chain, interaction=interaction, speed=scales.speed)
 
 
-RECIPES: dict[str, Callable[[Sensor, Scales], Bank]] = {
+def sage_husa(sensor: Sensor, scales: Scales) -> Bank:
+    """As kf-cv, learning how noisy the sensor is from the size of its innovations (Sage-Husa)."""
+    return kf_cv(sensor, scales)
+
+
+def vb_noise(sensor: Sensor, scales: Scales) -> Bank:
+    """As kf-cv, learning how noisy the sensor is by variational Bayes (inverse Wishart)."""
+    return kf_cv(sensor, scales)
+
+
+RECIPES: dict[str, Callable[..., Bank]] = {
     "kf-cv": kf_cv,
     "kf-ca": kf_ca,
     "singer": singer_filter,
     "ukf-ct": ukf_ct,
     "imm": imm,
     "intent-imm": intent_imm,
+    "student-t-imm": student_t_imm,
+    "robust-imm": robust_imm,
+    "joint-imm": joint_imm,
+    "sage-husa": sage_husa,
+    "vb-noise": vb_noise,
 }
 """Name -> recipe; the first line of each docstring is shown by ``jink list``."""
+
+ADAPTATIONS: dict[str, NoiseAdaptation] = {
+    "sage-husa": NoiseAdaptation(method="sage-husa"),
+    "vb-noise": NoiseAdaptation(method="variational"),
+}
+"""Recipes whose one mode learns its noise -> how."""
 
 
 def make_estimator(
@@ -187,7 +245,7 @@ def make_estimator(
         threads: processor cores for many tracks; None: all.
 
     Returns:
-        A `BankEstimator`.
+        A `BankEstimator` (an `AdaptiveEstimator` where the recipe learns its noise).
 
     Raises:
         ValueError: an unknown name, or a scale that is not positive.
@@ -195,4 +253,7 @@ def make_estimator(
     if name not in RECIPES:
         raise ValueError(f"make_estimator: name must be one of {', '.join(RECIPES)}; got {name!r}. See `jink list`.")
     scales = Scales(acceleration=acceleration, speed=speed, turn_rate=turn_rate, sojourn=sojourn)
-    return BankEstimator(RECIPES[name](sensor, scales), name=name, threads=threads)
+    bank = RECIPES[name](sensor, scales)
+    if name in ADAPTATIONS:
+        return AdaptiveEstimator(bank, ADAPTATIONS[name], name=name, threads=threads)
+    return BankEstimator(bank, name=name, threads=threads)

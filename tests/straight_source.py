@@ -61,6 +61,7 @@ class Straight:
         noise = np.broadcast_to(self.sensor.noise, (B, T, D, D)).copy()
         return Episodes(
             times=times,
+            delivery_times=times,
             truth=truth,
             delivered=truth,
             measurements=z,

@@ -264,6 +264,18 @@ def test_losing_the_track_ends_it_and_never_pays():
     assert patient.rewards.sum(axis=0)[row] >= run.rewards.sum(axis=0)[row]
 
 
+def test_a_track_lost_in_a_staggered_episode_costs_the_decisions_it_has():
+    task = AdaptiveFactorTask(HOSTILE, 2, lost_after=1e-9, lost_steps=1)
+    task.begin(np.arange(2), torn(HOSTILE, 2))
+    task.end_early(np.array([1]), np.array([7]))
+    outcome = task.step(np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64), np.ones(2, dtype=bool))
+    assert outcome.lost.all()
+    assert outcome.reward.tolist() == [-390.0, -70.0]
+    task.begin(np.array([1]), torn(HOSTILE, 1))
+    outcome = task.step(np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64), np.array([False, True]))
+    assert outcome.reward.tolist() == [0.0, -390.0]
+
+
 def test_rows_that_are_not_live_keep_still():
     episodes = torn(HOSTILE, 3)
     task = AdaptiveFactorTask(HOSTILE, 3)

@@ -21,7 +21,7 @@ from jink.envs.conformance.comparing import difference
 from jink.envs.evaluating import evaluate
 from jink.envs.manoeuvring_target import CAP
 from jink.envs.mixture import Mixture
-from jink.envs.observing import BOUND, nominal_sigma, since_switch
+from jink.envs.observing import BOUND, nominal_sigma, seen_positions, since_switch
 from jink.envs.policies import EstimatorPolicy
 from jink.envs.registration import ENVIRONMENTS, TASKS
 from jink.envs.scenarios import SUITES, make_scenario
@@ -155,6 +155,31 @@ def test_time_since_a_switch_counts_from_the_last_one():
     np.testing.assert_array_equal(since_switch(times, switches), [[0.0, 0.25, 1.25, 0.0, 1.0]])
 
 
+def test_intent_and_the_time_since_its_start_are_of_one_moment():
+    """Also where measurements arrive late: a new intent is never older than the step it appeared in."""
+    env, changes = gymnasium.make(TARGET, scenario="switch-irregular-v0", lost_after=math.inf).unwrapped, 0
+    for seed in range(3):
+        _, info = env.reset(seed=seed)
+        assert info["since_switch"] <= 0.25 + 1e-9  # the latency; to a tick of 15 ps
+        over = False
+        while not over:
+            before = info
+            *_, over, info = env.step(np.zeros(2))
+            if info["intent"] != before["intent"]:
+                changes += 1
+                assert info["since_switch"] < info["time"] - before["time"] + 1e-9
+    assert changes > 10
+
+
+def test_a_bearing_alone_gives_no_place():
+    sensor = make_sensor("bearing")
+    assert np.isnan(seen_positions(sensor, np.array([[0.5]]), np.zeros((1, 4)))).all()
+    assert np.isfinite(seen_positions(make_sensor("range-bearing"), np.array([[9.0, 0.5]]), np.zeros((1, 4)))).all()
+    env = gymnasium.make(TARGET, scenario="passive-ship-v0").unwrapped
+    env.reset(seed=0)
+    assert np.isnan(env.rollout.task.picture(0, 0).seen).all()
+
+
 def test_a_lost_track_terminates_and_giving_up_never_pays():
     env = made(scenario=Straight(steps=12), lost_after=5.0, lost_steps=3)
     env.reset(seed=0)
@@ -221,6 +246,21 @@ def test_stagger_shortens_the_first_episode_only():
     assert all(1 <= length <= 39 for length in lengths)
 
 
+def test_a_track_lost_in_a_staggered_episode_costs_the_decisions_it_has():
+    options = {"scenario": Straight(steps=40), "stagger": True}
+    for seed in range(6):
+        env = made(lost_after=math.inf, **options)
+        env.reset(seed=seed)
+        length = 1
+        while not env.step(np.ones(2))[3]:
+            length += 1
+        env = made(lost_after=5.0, lost_steps=1, **options)
+        for decisions in (length, 39):  # the second episode is a whole one
+            env.reset(seed=seed if decisions == length else None)
+            _, reward, terminated, _, _ = env.step(np.ones(2))
+            assert terminated and reward == -CAP * decisions
+
+
 @pytest.mark.parametrize("way", ["pickle", "deepcopy"])
 def test_a_copy_goes_on_as_the_original(way):
     env = made()
@@ -276,6 +316,24 @@ def test_an_impossible_action_changes_nothing(action):
     with pytest.raises(ValueError, match=r"^step: action must .*; got .*\. .*\.$"):
         env.step(action)
     assert difference(env.step(np.zeros(2)), twin.step(np.zeros(2))) == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "action", "said"),
+    [
+        (TARGET, np.zeros((1, 2)), r"numbers of shape \(2,\); got float64 \(1, 2\)\. Divide"),
+        (TARGET, np.array([2.0, 0.0]), r"within -1 \.\. 1; got \[2\.0, 0\.0\]\. Clip"),
+        ("jink/AdaptiveFactor-v0", np.array([1]), r"integers of shape \(\); got int64 \(1,\)\. Give"),
+        ("jink/AdaptiveFactor-v0", 5, r"0 \.\. 4; got 5\. Give"),
+        ("jink/AdaptiveFactorContinuous-v0", 0.5, r"numbers of shape \(1,\); got float64 \(\)\. Give"),
+        ("jink/AdaptiveFactorContinuous-v0", np.array([1.5]), r"within -1 \.\. 1; got 1\.5\. Clip"),
+    ],
+)
+def test_a_single_action_is_not_answered_as_a_batch(name, action, said):
+    env = gymnasium.make(name, steps=20, scenario="switch-v0").unwrapped
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=said):
+        env.step(action)
 
 
 @pytest.mark.parametrize(
@@ -354,6 +412,9 @@ def test_unknown_reset_options_are_refused():
         ({"scenario": "switch-v0", "lost_after": 0.0}, "lost_after must be > 0"),
         ({"scenario": "switch-v0", "lost_steps": 1.5}, "lost_steps an integer"),
         ({"scenario": 3}, "must be a name or a Scenario"),
+        ({"scenario": None, "suite": "surge", "steps": 20}, r"suite surge; got a refusal from surge-\S+-v0: Placed"),
+        ({"scenario": None, "tracks": "x.csv", "stepz": 3}, r"stepz must be .*Did you mean steps\? There are steps, "),
+        ({"scenario": None, "tracks": "x.csv", "wings": 2}, r"with tracks; .*There are steps, .*, lost_after, lost_st"),
         ({"task": "fly"}, "must be one of manoeuvring-target"),
         ({"scenario": Straight(steps=1)}, "must have >= 2 samples"),
     ],
@@ -484,6 +545,20 @@ def test_an_estimator_for_another_sensor_is_refused():
         EstimatorPolicy(make_estimator("imm", sensor=env.rollout.source.sensor), gymnasium.make("CartPole-v1"))
     with pytest.raises(ValueError, match="episodes must be an integer >= 1"):
         evaluate(env, lambda observation: np.zeros(2), episodes=0)
+
+
+def test_evaluating_keeps_the_agents_error_or_the_one_asked_for():
+    options = {"scenario": "switch-v0", "steps": 20}
+    single = gymnasium.make("jink/AdaptiveFactor-v0", **options)
+    batch = gymnasium.make_vec("jink/AdaptiveFactor-v0", num_envs=2, **options)
+    for env, act in ((single, lambda seen: 0), (batch, lambda seen: np.zeros(2, dtype=np.int64))):
+        found = evaluate(env, act, episodes=2).errors
+        assert np.isfinite(found).all()
+        np.testing.assert_array_equal(found, evaluate(env, act, episodes=2, error="error_nominal").errors)
+        assert (found != evaluate(env, act, episodes=2, error="inflation").errors).all()
+        with pytest.raises(ValueError, match=r"'eror'\. The environment tells detected, error_agent, .*, time\.$"):
+            evaluate(env, act, episodes=2, error="eror")
+    assert np.isnan(evaluate(gymnasium.make("CartPole-v1"), lambda seen: 0, episodes=1).errors).all()
 
 
 def test_frames_and_pictures(monkeypatch):

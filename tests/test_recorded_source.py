@@ -12,7 +12,7 @@ from jink.envs.recorded_source import RecordedSource
 from jink.envs.sampling import TICK
 from jink.envs.sensing import Platform, Sensing
 from jink.envs.streams import make_streams
-from jink.envs.surges import IsolatedOutliers
+from jink.envs.surges import IsolatedOutliers, MarkovBursts
 from jink.estimators.sensors import bearing, range_bearing
 from jink.estimators.tracks import Tracks
 
@@ -142,6 +142,15 @@ def test_noise_and_surges_leave_the_windows_alone():
             np.testing.assert_array_equal(one.times, two.times)
             np.testing.assert_array_equal(one.truth.position, two.truth.position)
             assert not np.array_equal(one.measurements, two.measurements)
+
+
+def test_surges_by_name():
+    options = {"steps": 30, "noise": "simulated", "sigma": 1.0}
+    for given in ("bursts", ["bursts"], MarkovBursts()):
+        assert RecordedSource(circles(), surges=given, **options).surges == (MarkovBursts(),)
+    both = RecordedSource(circles(), surges=["bursts", IsolatedOutliers()], **options)
+    assert both.surges == (MarkovBursts(), IsolatedOutliers())
+    assert both.simulate(streams(4)).scale.max() > 1.0
 
 
 def test_simulated_noise_is_the_noise_that_is_said():
@@ -334,6 +343,8 @@ def test_ranges_to_anchors_are_measured_as_recorded():
         ({"truth": "guessed"}, "truth must be one of auto, recorded, measured, smoothed; got 'guessed'"),
         ({"truth": "measured"}, "no error at all. Use truth='smoothed'"),
         ({"surges": (IsolatedOutliers(),)}, "surges must come with simulated noise"),
+        ({"noise": "simulated", "sigma": 1.0, "surges": "burst"}, "name must be a known surge; got 'burst'"),
+        ({"noise": "simulated", "sigma": 1.0, "surges": [3]}, "surges must be surges or their names; got 3"),
         ({"noise": "simulated"}, "sigma or sensing must be given with simulated noise, and not both; got neither"),
         ({"noise": "simulated", "sigma": -1.0}, "sigma must"),
         ({"noise": "simulated", "sensing": Sensing(bearing()), "sigma": 1.0}, "got both"),

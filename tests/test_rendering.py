@@ -171,6 +171,17 @@ def test_the_intent_strip_changes_colour_when_the_intent_does():
     assert pixel((clock.at(61.5), 4)) == PAPER
 
 
+@pytest.mark.parametrize("step", [0.2, 1.0, 60.0])
+def test_the_first_frame_shows_no_intent_beyond_the_present(step):
+    whole, colours = picture(), intent_colours(INTENTS)
+    shown = cut(whole._replace(times=step * whole.times), 1)
+    clock, pixel = strip(draw_intents, shown, colours, 1.0)
+    assert clock.edges.tolist() == [100.0, 100.0]
+    assert pixel((102.0, 40)) == PAPER
+    clock, _ = strip(draw_intents, cut(whole._replace(times=step * whole.times), 2), colours, 1.0)
+    assert clock.hold == step
+
+
 def test_the_noise_strip_is_logarithmic():
     clock, pixel = strip(draw_noise, picture(), 1.0)
     # 100 is two of the four decades: half of the 80 pixels.

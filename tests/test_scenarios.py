@@ -216,6 +216,13 @@ def test_late_measurements_leave_a_manoeuvre_as_it_is_and_are_on_its_path(latenc
         np.testing.assert_array_equal(other.delivered.intent[:, :-3], other.truth.intent[:, 3:])
 
 
+def test_deliveries_are_late_by_the_latency():
+    late = simulated("switch-irregular-v0")
+    np.testing.assert_allclose(late.delivery_times - late.times, 0.25, rtol=0, atol=1e-10)  # a tick is 15 ps
+    at_once = simulated("switch-v0")
+    np.testing.assert_array_equal(at_once.delivery_times, at_once.times)
+
+
 def test_a_stochastic_plant_has_one_path_for_samples_and_deliveries():
     late = simulated("surge-v0", 8, latency=0.3)
     np.testing.assert_allclose(late.delivered.position[:, :-3], late.truth.position[:, 3:], atol=1e-9)

@@ -26,8 +26,10 @@ def print_catalogue(console: Console) -> None:
     from jink.envs.published import SCENARIOS as PUBLISHED
     from jink.envs.registration import ENVIRONMENTS
     from jink.envs.scenarios import SCENARIOS
+    from jink.envs.scenarios import SUITES as MIXES
     from jink.envs.scene_library import SCENES
     from jink.envs.surges import SURGES
+    from jink.estimators.factors import FACTORS
     from jink.estimators.motions import MOTIONS
     from jink.estimators.recipes import RECIPES
     from jink.estimators.sensors import SENSORS
@@ -41,8 +43,11 @@ def print_catalogue(console: Console) -> None:
     simulated = {name: f"{scenario.title} ({scenario.suite})" for name, scenario in SCENARIOS.items()}
     _print_section(console, "scenarios", simulated)
     _print_section(console, "scenes", {name: scene.title for name, scene in SCENES.items()})
-    _print_section(console, "published", {name: scenario.title for name, scenario in PUBLISHED.items()})
-    _print_section(console, "suites", SUITES)
+    _print_section(console, "suites of environments", {name: ", ".join(members) for name, members in MIXES.items()})
+    factors = {name: _first_line(factor.function.function) for name, factor in FACTORS.items()}
+    _print_section(console, "factors", factors)
+    _print_section(console, "bench: published", {name: scenario.title for name, scenario in PUBLISHED.items()})
+    _print_section(console, "bench: suites", SUITES)
 
 
 def _print_section(console: Console, title: str, lines: Mapping[str, str]) -> None:

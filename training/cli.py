@@ -244,7 +244,9 @@ Examples:
 
 @app.command("check", help=_CHECK_HELP)
 def check_command(
-    env: Annotated[str, typer.Option(help="Id of an environment; MODULE:ID imports the module first.")],
+    env: Annotated[
+        str, typer.Option(help="Id of an environment; MODULE:ID imports a module first.")
+    ],
     num_envs: Annotated[int, typer.Option(help="How many environments.")] = 3,
     seed: Annotated[int, typer.Option(help="Seed of the first.")] = 0,
     steps: Annotated[int, typer.Option(help="Random steps of a comparison.")] = 300,
@@ -254,11 +256,12 @@ def check_command(
 
     import jink.envs
     from jink.envs.checking import check_vector_env, print_check
+    from jink.envs.registration import full_id
 
     gymnasium.register_envs(jink.envs)
     try:
         with say_when_compiling():
-            report = check_vector_env(env, num_envs, seed, steps)
+            report = check_vector_env(full_id(env), num_envs, seed, steps)
     except (gymnasium.error.Error, ModuleNotFoundError) as error:
         raise ValueError(f"--env: id must be one that Gymnasium knows; got '{env}'. {error}") from error
     print_check(report, screen())

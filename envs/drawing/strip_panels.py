@@ -37,9 +37,9 @@ class Clock:
         self.begin = float(times[0])
         gaps = np.diff(times)
         gaps = gaps[gaps > 0]
-        # What holds from the last sample on is drawn one typical step long.
-        self.hold = float(np.median(gaps)) if gaps.size else 1.0
-        self.length = span(max(float(times[-1]) - self.begin + self.hold, 10.0 * self.hold))
+        # What holds from the last sample on is drawn one typical step long; before there is a step, not at all.
+        self.hold = float(np.median(gaps)) if gaps.size else 0.0
+        self.length = span(max(float(times[-1]) - self.begin + self.hold, 10.0 * (self.hold or 1.0)))
         self.left, self.width = left, width
         self.edges = self.at(np.append(times, times[-1] + self.hold))
 
