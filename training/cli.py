@@ -244,9 +244,7 @@ Examples:
 
 @app.command("check", help=_CHECK_HELP)
 def check_command(
-    env: Annotated[
-        str, typer.Option(help="Id of an environment; MODULE:ID imports a module first.")
-    ],
+    env: Annotated[str, typer.Option(help="Id of an environment; MODULE:ID imports a module first.")],
     num_envs: Annotated[int, typer.Option(help="How many environments.")] = 3,
     seed: Annotated[int, typer.Option(help="Seed of the first.")] = 0,
     steps: Annotated[int, typer.Option(help="Random steps of a comparison.")] = 300,
