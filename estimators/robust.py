@@ -366,6 +366,8 @@ class RobustFilter:
     @property
     def bound(self) -> float:
         """``lambda_l``, which the regulation must exceed; 0: this filter is the Kalman filter."""
+        if not (np.any(self.excitation) or np.any(self.noise_excitation)):
+            return 0.0  # an error that nothing excites is none: R^ must stay R
         d, q = self._HM.shape
         work = np.zeros((3, max(d, q), padded(max(d, q))))
         HM, R = np.zeros((2, d, work.shape[2]))
