@@ -89,7 +89,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     found = errors(options.runs, options.seed)
-    table = Table(title=f"RMS position [m], {options.runs} runs; in brackets: over the oracle")
+    table = Table(title=f"RMS position in m, {options.runs} runs; in brackets: over the oracle")
     table.add_column("estimator")
     for name in SCENARIOS:
         table.add_column(name.removesuffix("-v0"), justify="right")
