@@ -136,6 +136,11 @@ class AdaptiveEstimator(BankEstimator):
                 f"AdaptiveEstimator: bank must have one mode; got {len(bank.modes)}. Learn the noise of each mode's "
                 "own filter, or use a bank of noise levels."
             )
+        if bank.modes[0].treatments:
+            raise ValueError(
+                f"AdaptiveEstimator: bank must have a mode without treatment; got {bank.modes[0].treatment!r}. Leave "
+                "it out: the noise is learnt, or use a BankEstimator."
+            )
         super().__init__(bank, name=name, threads=threads)
         self.adaptation = adaptation or NoiseAdaptation()
         self._trail = np.zeros((0, 0, 0))
@@ -143,6 +148,22 @@ class AdaptiveEstimator(BankEstimator):
     def __getstate__(self) -> dict[str, Any]:
         """Pickled without compiled tables: addresses belong to one process."""
         return {**super().__getstate__(), "adaptation": self.adaptation, "_trail": np.zeros((0, 0, 0))}
+
+    def surge_probability(self, estimates: Estimates) -> Floats:
+        """Not offered: there are no noise levels to choose from.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError("surge_probability: bank must have noise levels; got a learnt noise. Use noise_run.")
+
+    def noise_scale(self, estimates: Estimates) -> Floats:
+        """Not offered: the learnt noise is a matrix.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError("noise_scale: bank must have noise levels; got a learnt noise. Use noise_run.")
 
     def measurement_noise(self, state: State, noise: ArrayLike | None = None) -> Floats:
         """The R in use after ``state``.

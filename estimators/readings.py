@@ -43,6 +43,9 @@ def surge_probability(bank: Bank, mode_probs: ArrayLike) -> Floats:
 
 
 def noise_scale(bank: Bank, mode_probs: ArrayLike) -> Floats:
-    """Expected factor on R, ``sum_j mu_j scale_j``; (...). Times R it is the estimated measurement noise."""
+    """Expected factor on R of a bank of levels, ``sum_j mu_j scale_j``; (...); 1 without a `Level`.
+
+    Times R it is the estimated measurement noise. What an adaptive factor did to R is not in it.
+    """
     probs = _by_mode(bank, mode_probs, "noise_scale")
     return np.asarray(probs @ np.array([mode.noise_scale for mode in bank.modes]))

@@ -79,6 +79,13 @@ class Adaptive:
         object.__setattr__(self, "cap", _number("Adaptive", "cap", self.cap, 1.0, "Use 1e3 or 1e9."))
         if isinstance(self.factor, str):
             make_factor(self.factor, self.probabilities)
+        elif not isinstance(self.factor, Factor):
+            raise ValueError(f"Adaptive: factor must be a name or a Factor; got {self.factor!r}. See `jink list`.")
+        elif self.probabilities is not None:
+            raise ValueError(
+                f"Adaptive: probabilities must come with the name of a factor; got {self.probabilities!r} beside a "
+                "Factor. Give them to make_factor."
+            )
 
     @property
     def rule(self) -> Factor:

@@ -10,11 +10,13 @@ from jink.estimators.adaptive_cycle import LEARNT, WEIGHT
 from jink.estimators.adaptive_estimator import METHODS, AdaptiveEstimator, NoiseAdaptation
 from jink.estimators.api import BankEstimator
 from jink.estimators.bank import Bank, Mode
+from jink.estimators.factors import FACTORS
 from jink.estimators.inputs import Prior
 from jink.estimators.motions import constant_acceleration, constant_velocity, coordinated_turn
 from jink.estimators.recipes import ADAPTATIONS, make_estimator
 from jink.estimators.sensors import position, range_bearing
 from jink.estimators.status import DIVERGED, MISSING, OK, REPAIRED
+from jink.estimators.treatments import Adaptive
 
 Q_DENSITY = 0.1
 PEER = {"rtol": 1e-10, "atol": 1e-10}
@@ -453,3 +455,24 @@ def test_what_is_not_offered_is_said_in_a_sentence():
         with pytest.raises(ValueError, match=words) as caught:
             call()
         assert SENTENCE.match(str(caught.value)), caught.value
+
+
+def test_a_mode_with_a_treatment_of_its_own_is_refused():
+    bank = Bank((Mode("cv", constant_velocity(2), Adaptive("mr")),), position(2, 1.0))
+    with pytest.raises(ValueError, match="AdaptiveEstimator: bank must have a mode without treatment"):
+        AdaptiveEstimator(bank)
+
+
+@pytest.mark.parametrize("name", ["surge_probability", "noise_scale"])
+def test_levels_are_not_read_from_a_learnt_noise(name):
+    with pytest.raises(ValueError, match=f"{name}: bank must have noise levels"):
+        getattr(make_estimator("sage-husa", position(2, 1.0)), name)(None)
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [((3,), "factor must be a name"), ((FACTORS["mr"], "t", 3.0, 1e9, (0.2, 0.3)), "with the name")],
+)
+def test_adaptive_refuses_what_is_no_factor(given, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        Adaptive(*given)
