@@ -16,6 +16,7 @@ from jink.estimators.adaptive_noise import (
     whitened,
 )
 from jink.estimators.compiled import entry_kernel, inner_kernel
+from jink.estimators.factors import normalised_innovation
 from jink.estimators.fusion import fuse
 from jink.estimators.interaction import birth
 from jink.estimators.kalman import gaussian_update
@@ -24,6 +25,7 @@ from jink.estimators.modes import careful_covariance, measure_mode, predict_mode
 from jink.estimators.program import program_at, work_at
 from jink.estimators.records import ABSURD, LOCATED, RUNNING
 from jink.estimators.reference import by_reference
+from jink.estimators.restarting import begin_again, refusals_agree, widening
 from jink.estimators.soundness import drop_impossible_correlations, sound_moments, usable_components, widen
 from jink.estimators.status import DIVERGED, MISSING, OK, REPAIRED, STARTING
 
@@ -34,7 +36,7 @@ LEARNT = 2
 """Columns of ``State.nis_average`` that are the bank's own; the learnt ones follow."""
 WEIGHT, PROCESS, RATIO = range(3)
 """Learnt columns: weight w, factor on Q, and from here on the ratio A, row by row."""
-_LOST_NIS, _WORST_NIS, _MEMORY = 25.0, 250.0, 0.2
+_LOST_NIS, _WORST_NIS, _MEMORY = 25.0, 50.0, 0.2
 _MATRICES = 13
 
 
@@ -49,6 +51,7 @@ class Settings(NamedTuple):
     iterations: int
     measurement: bool
     process: bool
+    restart: bool
 
 
 @inner_kernel
@@ -60,14 +63,14 @@ def _forget_all(settings, learnt, size):
 
 
 @inner_kernel
-def _update(settings, program, work, learnt, room, m, P, sensor, z, d, m_out, P_out):
+def _update(settings, program, work, learnt, refusals, room, m, P, sensor, z, d, m_out, P_out):
     """Learn the noise from the ``d`` components present, then update with it.
 
     Model: `adaptive_noise.sage_husa` or `adaptive_noise.variational`, then the update every Gaussian mode ends with.
     Log density and NIS are those of the prediction: with the noise as it was known before.
 
     Returns:
-        (log density, NIS, whether all went well).
+        (log density, NIS, whether all went well, whether the target is lost, and how much to widen then).
     """
     n, size = program.sizes[0], z.size
     given, U, C, A, before, used, ratio = room[0], room[1], room[2], room[3], room[4], room[5], room[6]
@@ -95,6 +98,14 @@ def _update(settings, program, work, learnt, room, m, P, sensor, z, d, m_out, P_
             A[a, c] = ratio[present[a], present[c]]
     copy_rows(A, before, d)
     copy_rows(A, used, d)
+    for a in range(d):
+        for c in range(d):
+            work.S[a, c] = three[a, c] + given[a, c]
+    astray, widen_by = False, 1.0
+    nominal = normalised_innovation(work.innovation[0], three, given, 1.0, d, work.statistic)
+    if np.isfinite(nominal):
+        astray = refusals_agree(refusals, work.statistic[d:], present, nominal, d)
+        widen_by = widening(program, work.innovation[0], work.S, given, 1.0, d, work)
     log_density = predicted_nis = 0.0
     lost = False
     weight = settings.forgetting * learnt[WEIGHT] + 1.0
@@ -135,7 +146,7 @@ def _update(settings, program, work, learnt, room, m, P, sensor, z, d, m_out, P_
             learnt[PROCESS] = min(max(factor, settings.floor), settings.ceiling)
     if lost:
         careful_covariance(program, work, 0, linear, P, d, P_out)
-    return log_density, predicted_nis, good
+    return log_density, predicted_nis, good, astray, widen_by
 
 
 @inner_kernel
@@ -146,7 +157,7 @@ def _step(settings, program, work, state, inputs, outputs, room, b, t):
     """
     mean, cov, n = state.mean[b, 0], state.cov[b, 0], program.sizes[0]
     learnt = state.nis_average[b, LEARNT:]
-    good, lost = True, False
+    good, lost, astray, widen_by = True, False, False, 1.0
     now = inputs.times[b if inputs.times.shape[0] > 1 else 0, t]
     dt = now - state.time[b]
     if not (dt >= 0.0 and dt < ABSURD):
@@ -172,7 +183,9 @@ def _step(settings, program, work, state, inputs, outputs, room, b, t):
         birth(program, work, 0, state.kin_mean[b], state.kin_cov[b], m, P)
     status, log_likelihood, nis = OK, 0.0, 0.0
     if d > 0:
-        log_likelihood, nis, fine = _update(settings, program, work, learnt, room, m, P, sensor, z, d, mean, cov)
+        log_likelihood, nis, fine, astray, widen_by = _update(
+            settings, program, work, learnt, state.refusals[b], room, m, P, sensor, z, d, mean, cov
+        )
         sound = sound_moments(mean, cov, n, P)
         good = good and fine and sound == 2
         if sound == 0:
@@ -202,10 +215,12 @@ def _step(settings, program, work, state, inputs, outputs, room, b, t):
     good = good and fused
     if not good:
         status = REPAIRED
-    if lost or state.nis_average[b, LEARNT - 1] > _LOST_NIS:
+    if lost or astray or state.nis_average[b, LEARNT - 1] > _LOST_NIS:
         status = DIVERGED
     if status in (REPAIRED, DIVERGED):
         drop_impossible_correlations(work, state.kin_cov[b])
+    if astray and settings.restart and begin_again(program, work, state, b, widen_by):
+        _forget_all(settings, learnt, z.size)
     outputs.status[b, t] = status
 
 

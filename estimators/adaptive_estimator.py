@@ -66,10 +66,15 @@ class NoiseAdaptation:
     process: bool = False
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
+        if not isinstance(self.method, str) or self.method not in METHODS:
             raise ValueError(
                 f"NoiseAdaptation: method must be one of {', '.join(METHODS)}; got {self.method!r}. Pick one."
             )
+        for name in ("forgetting", "start_weight", "floor", "ceiling"):
+            value = getattr(self, name)
+            number = isinstance(value, float | int | np.number) and not isinstance(value, bool)
+            if not number and not (name == "start_weight" and value is None):
+                raise ValueError(f"NoiseAdaptation: {name} must be a number; got {value!r}. Leave it out.")
         if not 0.0 < self.forgetting <= 1.0:
             raise ValueError(f"NoiseAdaptation: forgetting must be in (0, 1]; got {self.forgetting}. Use 0.9.")
         if self.start_weight is not None and not self.start_weight >= 0.0:
@@ -82,10 +87,16 @@ class NoiseAdaptation:
                 raise ValueError(
                     f"NoiseAdaptation: {name} must be > 0 and in [{low:g}, {high:g}]; got {value}. Use {usual}."
                 )
-        if isinstance(self.iterations, bool) or self.iterations not in range(1, 101):
+        whole = isinstance(self.iterations, int | np.integer) and not isinstance(self.iterations, bool)
+        if not whole or not 1 <= self.iterations <= 100:
             raise ValueError(
                 f"NoiseAdaptation: iterations must be an integer in 1..100; got {self.iterations!r}. Use 5."
             )
+        for name in ("measurement", "process"):
+            if not isinstance(getattr(self, name), bool):
+                raise ValueError(
+                    f"NoiseAdaptation: {name} must be True or False; got {getattr(self, name)!r}. Leave it out."
+                )
         if self.method != "sage-husa" and (self.process or not self.measurement):
             raise ValueError(
                 f"NoiseAdaptation: measurement, process must be True, False for {self.method}; got "
@@ -105,6 +116,7 @@ class NoiseAdaptation:
             int(self.iterations),
             bool(self.measurement),
             bool(self.process),
+            True,
         )
 
 
@@ -259,7 +271,8 @@ class AdaptiveEstimator(BankEstimator):
         return zlib.crc32(repr((self.bank.sensor.axes, self.modes, motion.labels, own)).encode())
 
     def _advance(self, state: State, inputs: Inputs, outputs: Outputs, history: History, low: int, high: int) -> None:
-        settings, trail = self.adaptation.settings, self._trail
+        settings = self.adaptation.settings._replace(restart=self.bank.restart is not False)
+        trail = self._trail
         advance(settings, self._handle.handle, self._work(), state, inputs, outputs, history, trail, low, high)
 
     def _advance_row(self, desk: Desk, state: State) -> None:

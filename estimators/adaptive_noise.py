@@ -12,8 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from jink.estimators.compiled import inner_kernel
-from jink.estimators.linalg import cholesky, clear_rows, copy_rows, mirror, solve_lower, solve_upper, total
-from jink.estimators.smoothers import _diagonalise
+from jink.estimators.linalg import cholesky, clear_rows, copy_rows, diagonalise, mirror, solve_lower, solve_upper, total
 
 __all__ = ["bounded", "coloured", "process_factor", "sage_husa", "spread_to_absent", "variational", "whitened"]
 
@@ -159,7 +158,7 @@ def bounded(A, d, floor, ceiling, shifted, factor, V):
     if inside:
         return True
     copy_rows(A, shifted, d)
-    _diagonalise(shifted, V, d)
+    diagonalise(shifted, V, d)
     for i in range(d):
         for k in range(i + 1):
             A[i, k] = 0.0

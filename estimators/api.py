@@ -270,6 +270,7 @@ class BankEstimator:
             state.kin_mean.copy(),
             state.kin_cov.copy(),
             state.nis_average.copy(),
+            state.refusals.copy(),
             state.time.copy(),
             state.phase.copy(),
             state.layout,
@@ -440,7 +441,8 @@ class BankEstimator:
         advance_one(self._handle.handle, self._work(), desk.inputs.handle, desk.outputs.handle, state)
 
     def _blank(self, tracks: int) -> State:
-        state = make_state(tracks, len(self.modes), self._program.angular.shape[1], 2 * self.bank.sensor.axes)
+        sensor = self.bank.sensor
+        state = make_state(tracks, len(self.modes), self._program.angular.shape[1], 2 * sensor.axes, sensor.size)
         state.mode_probs[:] = self.bank.start_probs
         state.layout[:] = self._layout
         return state
@@ -448,8 +450,8 @@ class BankEstimator:
     @cached_property
     def _layout(self) -> int:
         """Number that tells this bank's states from those of another."""
-        modes = [(mode.name, mode.motion.labels) for mode in self.bank.modes]
-        return zlib.crc32(repr((self.bank.sensor.axes, modes)).encode())
+        modes = [(mode.name, mode.motion.labels, mode.treatments) for mode in self.bank.modes]
+        return zlib.crc32(repr((self.bank.sensor.axes, self.bank.sensor.size, modes)).encode())
 
     def _check_state(self, state: State, caller: str) -> None:
         """A state of another bank would be read with the wrong sizes."""

@@ -97,6 +97,9 @@ class Bank:
         shared: modes of one intent differ in their `Level` only and share one prediction: before each step they are
             collapsed to their common mean and covariance. A product of I intents and L noise levels then costs I
             modes and L cheap updates of each.
+        restart: begin again, with births of all modes at much widened position and velocity, where the target is
+            lost: about seventeen measurements in a row lay beyond the 99.9 % chi-square bound at nominal noise, and on
+            one side; None: where a treatment judges the noise (`Adaptive`, `BoundedTails`, several `Level`s).
 
     Raises:
         ValueError: parts that do not fit; the sentence names them.
@@ -120,6 +123,7 @@ class Bank:
     reset_nis: float | None = None
     every_sigma_point: bool = False
     shared: bool = False
+    restart: bool | None = None
 
     def __post_init__(self) -> None:
         if not self.modes:
@@ -174,6 +178,8 @@ class Bank:
             value = getattr(self, name)
             if value is not None and not (value > low and np.isfinite(value)):
                 raise ValueError(f"Bank: {name} must be > {low:g} and finite; got {value}. Leave it out if in doubt.")
+        if not (self.restart is None or isinstance(self.restart, bool)):
+            raise ValueError(f"Bank: restart must be True, False or None; got {self.restart!r}. Leave it out.")
         if not 0 <= self.reset_prob < 1:
             raise ValueError(f"Bank: reset_prob must be in [0, 1); got {self.reset_prob}. Use 1e-3.")
         if self.area is not None:
@@ -217,6 +223,8 @@ class Bank:
             treatments=tuple(mode.treatments for mode in self.modes),
             intents=tuple(mode.purpose for mode in self.modes),
             shared=self.shared,
+            restart=self.restart,
+            start_probs=self.start_probs,
             chain_factors=None if chain.factors is None else (chain.factors[0].rates, chain.factors[1].rates),
         )
 

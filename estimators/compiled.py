@@ -33,6 +33,7 @@ __all__ = [
     "OWN",
     "TRANSITION",
     "Callback",
+    "address_caller",
     "entry_kernel",
     "forget_stale_machine_code",
     "inner_kernel",
@@ -143,8 +144,8 @@ def _emit_call(signature: Any) -> Callable[..., Any]:
     return codegen
 
 
-def _caller(signature: Any) -> Callable[..., None]:
-    """``call(address, *arguments)`` for callbacks of one signature, usable inside kernels."""
+def address_caller(signature: Any) -> Callable[..., None]:
+    """``call(address, *arguments)`` for functions of one signature given by address, usable inside kernels."""
     typed = types.void(types.int64, *signature.args)
     if config.DISABLE_JIT:
 
@@ -152,27 +153,20 @@ def _caller(signature: Any) -> Callable[..., None]:
             _python_functions[int(address)](*arguments)
 
         return call
-    if len(signature.args) == 3:
 
-        @intrinsic
-        def call3(_: Any, address: Any, a: Any, b: Any, c: Any) -> Any:
-            return typed, _emit_call(typed)
-
-        return call3
-
-    @intrinsic
-    def call4(_: Any, address: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
-        return typed, _emit_call(typed)
-
-    return call4
+    # Numba's intrinsics take no *arguments, so the right number of them is written out.
+    names = ", ".join(f"a{i}" for i in range(len(signature.args)))
+    namespace: dict[str, Any] = {"found": (typed, _emit_call(typed))}
+    exec(f"def call_by_address(context, address, {names}):\n    return found\n", namespace)
+    return intrinsic(namespace["call_by_address"])
 
 
-call_transition = _caller(TRANSITION)
-call_noise = _caller(NOISE)
-call_kinematics = _caller(KINEMATICS)
-call_assemble = _caller(ASSEMBLE)
-call_own = _caller(OWN)
-call_observe = _caller(OBSERVE)
+call_transition = address_caller(TRANSITION)
+call_noise = address_caller(NOISE)
+call_kinematics = address_caller(KINEMATICS)
+call_assemble = address_caller(ASSEMBLE)
+call_own = address_caller(OWN)
+call_observe = address_caller(OBSERVE)
 
 
 def forget_stale_machine_code(folder: Path, *used: Path) -> None:

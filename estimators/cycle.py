@@ -7,6 +7,7 @@ from numba import types
 
 from jink.estimators.compiled import entry_kernel, inner_kernel
 from jink.estimators.fusion import bank_nis, fuse, mode_posterior
+from jink.estimators.hedging import hedge
 from jink.estimators.interaction import birth, convert, interact, own_prior
 from jink.estimators.linalg import copy_matrix, copy_rows, copy_vector
 from jink.estimators.markov import transition_matrix
@@ -15,14 +16,15 @@ from jink.estimators.pieces import MATRIX, PROGRAM, STACK, VECTOR, WORK, piece
 from jink.estimators.program import RESET, program_at, work_at
 from jink.estimators.records import ABSURD, INPUTS, LOCATED, OUTPUTS, RUNNING, STATE, inputs_at, outputs_at
 from jink.estimators.reference import by_reference
+from jink.estimators.restarting import begin_again, refusals_agree, widening
 from jink.estimators.soundness import drop_impossible_correlations, sound_moments, usable_components, widen
 from jink.estimators.status import DIVERGED, MISSING, OK, REPAIRED, STARTING
-from jink.estimators.treatment_kernels import ERRING, hedge
+from jink.estimators.treatment_kernels import ERRING
 
 __all__ = ["advance", "advance_one", "begin_tracks"]
 
 _LOST_NIS = 25.0
-_WORST_NIS = 250.0
+_WORST_NIS, _WORST_JUDGED = 250.0, 50.0
 _MEMORY = 0.2
 _TOGETHER = 8
 
@@ -136,7 +138,7 @@ def step(program, work, state, inputs, outputs, b, t):
         work.log_density[j] = 0.0
         if d > 0:
             if program.treated[j] & ERRING:
-                hedge(program, work, j, work.mixed_mean[j], work.mixed_cov[j], sensor, d, m, P)
+                hedge(program, work, j, work.mixed_mean[j], work.mixed_cov[j], sensor, z, d, m, P)
             density, nis, fine = update_mode(program, work, j, m, P, sensor, z, d, mean[j], cov[j])
             work.log_density[j] = density
             sound = sound_moments(mean[j], cov[j], n, P)
@@ -154,21 +156,27 @@ def step(program, work, state, inputs, outputs, b, t):
             for i in range(n):
                 mean[j, i] = m[i]
             copy_rows(P, cov[j], n)
-    status = OK
+    status, astray, widen_by = OK, False, 1.0
     if d > 0:
-        nis, fine = bank_nis(work, modes, d)
+        nis, fine = bank_nis(work, work.S_modes, modes, d)
         log_likelihood = mode_posterior(program, work, modes, probs)
         if not np.isfinite(log_likelihood):
             log_likelihood = -ABSURD
             good = False
         if fine:
-            state.nis_average[b, modes] += _MEMORY * (min(nis / d, _WORST_NIS) - state.nis_average[b, modes])
+            worst = _WORST_JUDGED if program.watched else _WORST_NIS  # isolated outliers are its business
+            state.nis_average[b, modes] += _MEMORY * (min(nis / d, worst) - state.nis_average[b, modes])
         else:
             nis = 0.0
             good = False
         outputs.log_likelihood[b, t] = log_likelihood
         outputs.nis[b, t] = nis
         outputs.nis_dof[b, t] = d
+        if program.watched:
+            calm, fine = bank_nis(work, work.S_calm, modes, d)
+            if fine:
+                astray = refusals_agree(state.refusals[b], work.whitened, work.present, calm, d)
+                widen_by = widening(program, work.sensed, work.S, work.R, program.calm, d, work)
         if program.rule == RESET:
             good = _restart_poor_modes(program, work, mean, cov, probs, state.nis_average[b]) and good
     else:
@@ -180,10 +188,12 @@ def step(program, work, state, inputs, outputs, b, t):
     good = fuse(program, work, mean, cov, probs, state.kin_mean[b], state.kin_cov[b]) and good
     if not good:
         status = REPAIRED
-    if lost or state.nis_average[b, modes] > _LOST_NIS:
+    if lost or astray or state.nis_average[b, modes] > _LOST_NIS:
         status = DIVERGED
     if status in (REPAIRED, DIVERGED):
         drop_impossible_correlations(work, state.kin_cov[b])
+    if astray and program.restart:
+        begin_again(program, work, state, b, widen_by)
     outputs.status[b, t] = status
 
 

@@ -11,18 +11,14 @@ inventor's public code. Differs: rejection and every bound are relative to R, so
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numba import types
-from numba.core import config
-from numba.extending import intrinsic
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
-from jink.estimators.compiled import Callback, _emit_call, _python_functions, entry_kernel, kernel
+from jink.estimators.compiled import Callback, address_caller, entry_kernel, kernel
 from jink.estimators.linalg import padded
 
 __all__ = [
@@ -49,23 +45,6 @@ FACTOR = types.void(_VECTOR, _MATRIX, _MATRIX, types.float64, _VECTOR, _MATRIX, 
 Matrices may have longer rows, as in `linalg`. ``nis`` is D^2 with whatever S the statistic should have (the nominal
 one, if thresholds are chi-square quantiles); ``work`` is scratch (2 d, padded).
 """
-
-
-def address_caller(signature: Any) -> Callable[..., None]:
-    """``call(address, *arguments)`` for functions of one signature given by address, usable inside kernels."""
-    typed = types.void(types.int64, *signature.args)
-    if config.DISABLE_JIT:
-
-        def call(address: int, *arguments: Any) -> None:
-            _python_functions[int(address)](*arguments)
-
-        return call
-
-    # Numba's intrinsics take no *arguments, so the right number of them is written out.
-    names = ", ".join(f"a{i}" for i in range(len(signature.args)))
-    namespace: dict[str, Any] = {"found": (typed, _emit_call(typed))}
-    exec(f"def call_by_address(context, address, {names}):\n    return found\n", namespace)
-    return intrinsic(namespace["call_by_address"])
 
 
 call_factor = address_caller(FACTOR)
@@ -243,7 +222,10 @@ class Factor:
     def __post_init__(self) -> None:
         if not isinstance(self.function, Callback):
             object.__setattr__(self, "function", Callback(self.function, FACTOR))
-        values = tuple(float(value) for value in self.probabilities)
+        try:
+            values = tuple(float(value) for value in self.probabilities)
+        except (TypeError, ValueError):
+            values = (math.nan,)
         rising = all(low < high for low, high in zip((0.0, *values), (*values, 1.0)))
         if len(values) > 2 or not rising:
             raise ValueError(
@@ -324,16 +306,16 @@ def make_factor(name: str, probabilities: tuple[float, ...] | None = None) -> Fa
     Raises:
         ValueError: unknown name, or probabilities that do not fit it.
     """
-    factor = FACTORS.get(name)
+    factor = FACTORS.get(name) if isinstance(name, str) else None
     if factor is None:
         raise ValueError(
             f"make_factor: name must be one of {', '.join(FACTORS)}; got {name!r}. Pick one, or add it to FACTORS."
         )
     if probabilities is None:
         return factor
-    if len(probabilities) != len(factor.probabilities):
+    if np.ndim(probabilities) != 1 or len(probabilities) != len(factor.probabilities):
         raise ValueError(
             f"make_factor: probabilities of {name} must have {len(factor.probabilities)} entries; "
-            f"got {len(probabilities)}. Give one per threshold."
+            f"got {len(probabilities) if np.ndim(probabilities) == 1 else probabilities!r}. Give one per threshold."
         )
     return replace(factor, probabilities=tuple(probabilities))

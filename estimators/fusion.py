@@ -14,9 +14,13 @@ __all__ = ["bank_nis", "fuse", "mode_posterior"]
 
 
 @inner_kernel
-def bank_nis(work, modes, d):
-    """Innovation of the whole bank squared over its covariance: moments of the mixture of predicted measurements."""
-    prior, innovation, S_modes, S = work.prior, work.innovation, work.S_modes, work.S
+def bank_nis(work, S_modes, modes, d):
+    """Innovation of the whole bank squared over its covariance: moments of the mixture of predicted measurements.
+
+    ``S_modes`` are the modes' (M, d, d), with whatever noise. Leaves them in ``work.sensed``, ``work.S``, and
+    ``L^-1 v`` in ``work.whitened``.
+    """
+    prior, innovation, S = work.prior, work.innovation, work.S
     mean, factor, whitened = work.sensed, work.factor, work.whitened
     for a in range(d):
         value = 0.0
@@ -88,9 +92,9 @@ def fuse(program, work, mean, cov, probs, kin_mean, kin_cov):
         for a in range(kin):
             kin_mean[a] += probs[j] * means[j, a]
     for a in range(kin):
-        for b in range(kin):
+        for b in range(a + 1):  # one triangle: a covariance is symmetric to the last bit
             value = 0.0
             for j in range(modes):
                 value += probs[j] * (covs[j, a, b] + (means[j, a] - kin_mean[a]) * (means[j, b] - kin_mean[b]))
-            kin_cov[a, b] = value
+            kin_cov[a, b] = kin_cov[b, a] = value
     return good

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -19,6 +20,28 @@ CALM, SURGE, BACK = 2.0, 2.0, 0.8
 """Mean durations, s, and the share of surges that end in calm rather than at another level."""
 
 
+def _check_levels(caller: str, levels: Sequence[float]) -> tuple[float, ...]:
+    try:
+        given = tuple(Level(level).scale for level in levels)
+    except (TypeError, ValueError):
+        given = ()
+    if isinstance(levels, str) or len(given) < 2 or len(set(given)) != len(given):
+        raise ValueError(
+            f"{caller}: levels must be two or more distinct factors on R, > 0; got {levels!r}. Use LEVELS."
+        )
+    return given
+
+
+def _check_duration(name: str, value: float) -> None:
+    if isinstance(value, bool) or not isinstance(value, float | int | np.number) or not 0.0 < value < math.inf:
+        raise ValueError(f"level_chain: {name} must be > 0 s and finite; got {value!r}. Give a mean duration.")
+
+
+def _shown(level: float) -> str:
+    short = f"{level:g}"
+    return short if float(short) == level else repr(level)
+
+
 def level_chain(
     levels: Sequence[float] = LEVELS, calm: float = CALM, surge: float = SURGE, back: float = BACK
 ) -> MarkovChain:
@@ -28,9 +51,12 @@ def level_chain(
     the other levels.
 
     Raises:
-        ValueError: a duration is not positive, or ``back`` no probability.
+        ValueError: fewer than two levels or levels that repeat, a duration not positive, or ``back`` no probability.
     """
-    if not 0.0 <= back <= 1.0:
+    _check_levels("level_chain", levels)
+    _check_duration("calm", calm)
+    _check_duration("surge", surge)
+    if not isinstance(back, float | int) or not 0.0 <= back <= 1.0:
         raise ValueError(f"level_chain: back must be in [0, 1]; got {back}. Give the share of surges that end in calm.")
     count = len(levels)
     targets = np.full((count, count), (1.0 - back) / max(count - 2, 1))
@@ -70,10 +96,9 @@ def joint_bank(
 
     Source: Li & Bar-Shalom (1994) for noise identification by IMM; the product is ours. Differs: levels collapsed.
     """
-    if len(levels) < 2 or len(set(levels)) != len(levels):
-        raise ValueError(
-            f"joint_bank: levels must be two or more distinct factors on R; got {list(levels)}. Use LEVELS."
-        )
+    if not isinstance(bank, Bank):
+        raise ValueError(f"joint_bank: bank must be a Bank; got {type(bank).__name__}. Use recipes.intent_imm.")
+    levels = _check_levels("joint_bank", levels)
     noise = level_chain(levels, calm, surge, back)
     chain = noise
     if bank.chain is not None:
@@ -84,7 +109,7 @@ def joint_bank(
             )
         chain = bank.chain.beside(chain)
     modes = tuple(
-        Mode(f"{mode.name} {level:g}R", mode.motion, (*mode.treatments, Level(level)), mode.purpose)
+        Mode(f"{mode.name} {_shown(level)}R", mode.motion, (*mode.treatments, Level(level)), mode.purpose)
         for mode in bank.modes
         for level in levels
     )

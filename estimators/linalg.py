@@ -22,6 +22,7 @@ __all__ = [
     "copy_matrix",
     "copy_rows",
     "copy_vector",
+    "diagonalise",
     "mirror",
     "multiply",
     "offset_rows",
@@ -38,6 +39,7 @@ _STEP = np.uint64(LANES)
 _ZERO_PIVOT = 1e-14
 _NEGATIVE_PIVOT = 1e-9
 _HUGE = 1e300
+_SWEEPS = 12
 _TWO_PI = 2.0 * np.pi
 
 
@@ -411,3 +413,31 @@ def solve_upper(upper, d, rows, n):
             for k in range(i + 1, d):
                 total -= upper[i, k] * rows[k, c]
             rows[i, c] = total * scale
+
+
+@kernel
+def diagonalise(A, V, n):
+    """Eigenvalues onto the diagonal of symmetric ``A`` and eigenvectors into the columns of ``V``, by Jacobi."""
+    for a in range(n):
+        for c in range(n):
+            V[a, c] = 1.0 if a == c else 0.0
+    for _ in range(_SWEEPS):
+        for a in range(n - 1):
+            for c in range(a + 1, n):
+                if abs(A[a, c]) > 1e-15 * (abs(A[a, a]) + abs(A[c, c])):
+                    slope = 0.5 * (A[c, c] - A[a, a]) / A[a, c]
+                    sign = 1.0 if slope >= 0.0 else -1.0
+                    tangent = sign / (abs(slope) + np.sqrt(slope * slope + 1.0))
+                    cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
+                    sine = tangent * cosine
+                    for k in range(n):
+                        left, right = A[k, a], A[k, c]
+                        A[k, a] = cosine * left - sine * right
+                        A[k, c] = sine * left + cosine * right
+                    for k in range(n):
+                        left, right = A[a, k], A[c, k]
+                        A[a, k] = cosine * left - sine * right
+                        A[c, k] = sine * left + cosine * right
+                        left, right = V[k, a], V[k, c]
+                        V[k, a] = cosine * left - sine * right
+                        V[k, c] = sine * left + cosine * right

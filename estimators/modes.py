@@ -21,7 +21,7 @@ from jink.estimators.pieces import MATRIX, PROGRAM, VECTOR, WORK, piece
 from jink.estimators.treatment_kernels import ADAPTING, adapt_noise, finish_treated, prepare_noise
 from jink.estimators.unscented import draw_points, point_weights, points_mean, unscented_predict
 
-__all__ = ["mode_kinematics", "predict_mode", "process_noise", "update_mode"]
+__all__ = ["measure_mode", "mode_kinematics", "predict_mode", "process_noise", "update_mode"]
 
 _NODES = (0.1127016653792583, 0.5, 0.8872983346207417)
 _NODE_WEIGHTS = (0.2777777777777778, 0.4444444444444444, 0.2777777777777778)
@@ -105,7 +105,9 @@ def predict_mode(program, work, j, m, P, dt, m_out, P_out):
     )  # fmt: skip
 
 
-@inner_kernel
+@piece(
+    types.Tuple((types.boolean, types.boolean)), PROGRAM, WORK, types.int64, VECTOR, MATRIX, VECTOR, VECTOR, types.int64
+)  # fmt: skip
 def measure_mode(program, work, j, m, P, sensor, z, d):
     """Innovation, its covariance and the cross covariance of mode ``j`` with the ``d`` components present.
 
@@ -205,6 +207,11 @@ def update_mode(program, work, j, m, P, sensor, z, d, m_out, P_out):
     if treated:
         prepare_noise(program, work, j, d)
     linear, good = measure_mode(program, work, j, m, P, sensor, z, d)
+    if program.watched:
+        calm = work.noise_kept if treated else work.R
+        for a in range(d):
+            for b in range(d):
+                work.S_calm[j, a, b] = work.S[a, b] - work.R[a, b] + program.calm * calm[a, b]
     if treated & ADAPTING:
         density = adapt_noise(program, work, j, d)
     copy_rows(work.S, work.S_modes[j], d)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jink.estimators.api import BankEstimator, Estimates
 from jink.estimators.bank import Bank
-from jink.estimators.inputs import Prior
+from jink.estimators.inputs import Prior, check_inputs
 
 __all__ = ["oracle", "untreated"]
 
@@ -66,19 +66,24 @@ def oracle(
     if intents is not None:
         known = [mode.purpose for mode in estimator.bank.modes]
         columns = _columns(known, known if names is None else names)
-        z = np.asarray(measurements)
-        shape = z.shape[:-1]
+        inputs = check_inputs(estimator.bank, measurements, times, noise, sensor_states, caller="oracle")
+        shape = np.shape(measurements)[:-1]
         given = np.asarray(intents)
         if given.shape != shape or not np.issubdtype(given.dtype, np.integer) or given.max(initial=-1) >= len(columns):
+            found = f"shape {given.shape}"
+            if given.shape == shape:
+                found = f"{given.dtype}" if given.dtype.kind not in "iu" else f"{given.max()} among them"
             raise ValueError(
-                f"oracle: intents must be integers below {len(columns)} with shape {shape}; got {given.shape}. "
+                f"oracle: intents must be integers below {len(columns)} with shape {shape}; got {found}. "
                 "One per measurement; negative where it is not told."
             )
-        transition = _told(estimator.bank, np.where(given < 0, -1, columns[given]), np.asarray(times, dtype=np.float64))
+        modes = np.where(given < 0, -1, columns[given])
+        transition = _told(estimator.bank, modes, inputs.times[0] if len(inputs.times) == 1 else inputs.times)
     return estimator.run(measurements, times, noise, sensor_states, prior=prior, mode_transition=transition)
 
 
 def _columns(known: list[str], names: Sequence[str]) -> NDArray[np.int64]:
+    names = [names] if isinstance(names, str) else list(names)
     missing = [name for name in names if name not in known]
     if missing:
         raise ValueError(f"oracle: names must be intents of the bank, {', '.join(known)}; got {missing}. Rename them.")

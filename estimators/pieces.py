@@ -8,6 +8,7 @@ unit; its address travels in the ``pieces`` table of the program, and a call cos
 from __future__ import annotations
 
 import contextlib
+import importlib
 import logging
 import os
 import subprocess
@@ -33,7 +34,12 @@ VECTOR = types.Array(types.float64, 1, "C")
 MATRIX = types.Array(types.float64, 2, "C")
 STACK = types.Array(types.float64, 3, "C")
 PROGRAM, WORK = "program", "work"
-_registered: list[tuple[Callable[..., Any], Any, tuple[Any, ...]]] = []
+_ORDER = (
+    "predict_mode", "measure_mode", "careful_covariance", "update_mode", "mode_kinematics", "prepare_noise",
+    "adapt_noise", "finish_treated", "hedge", "convert", "birth", "interact", "fuse", "_restart_poor_modes", "step",
+)  # fmt: skip
+"""A piece's number is in the machine code of its callers, so it may not depend on which module is imported first."""
+_registered: dict[int, tuple[Callable[..., Any], Any, tuple[Any, ...]]] = {}
 _LONGEST = ("predict_mode", "step")  # half of all compile time
 _addresses: list[int] = []
 _compiled: dict[int, Any] = {}
@@ -41,7 +47,7 @@ _LOG = logging.getLogger("jink.compiled")
 
 
 def piece(returns: Any, *arguments: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Make a kernel into a piece; its first argument is the program.
+    """Make a kernel into a piece; its first argument is the program, its name is listed in ``_ORDER``.
 
     Args:
         returns: Numba type of the result.
@@ -52,8 +58,8 @@ def piece(returns: Any, *arguments: Any) -> Callable[[Callable[..., Any]], Any]:
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        number = len(_registered)
-        _registered.append((function, returns, arguments))
+        number = _ORDER.index(function.__name__)
+        _registered[number] = (function, returns, arguments)
         if config.DISABLE_JIT:
             return function
 
@@ -85,7 +91,8 @@ def _signature(returns: Any, arguments: tuple[Any, ...], given: tuple[Any, ...])
 def piece_addresses() -> NDArray[np.int64]:
     """Addresses of all pieces, compiled (or loaded from the cache) on the first call."""
     if not _addresses:
-        numbers = list(range(len(_registered)))
+        importlib.import_module("jink.estimators.cycle")  # which imports the modules of all pieces
+        numbers = list(range(len(_ORDER)))
         if not config.DISABLE_JIT:
             with _second_compiler(numbers) as mine:
                 for number in mine:

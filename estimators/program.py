@@ -11,6 +11,7 @@ from jink.estimators.motion import Motion
 from jink.estimators.pieces import PROGRAM, WORK, piece_addresses
 from jink.estimators.reference import record_type, reference_reader
 from jink.estimators.sensor import Sensor
+from jink.estimators.treatment_kernels import ADAPTING
 from jink.estimators.treatment_tables import treatment_tables
 from jink.estimators.treatments import Treatment
 
@@ -76,6 +77,10 @@ class Program(NamedTuple):
     reset_nis: float
     shared: bool  # modes of one intent share their prediction
     leader: Ints  # (M,) first mode of the intent where they share; else the mode itself
+    watched: bool  # noise is judged from innovations: is the target where the bank thinks?
+    restart: bool  # begin again where it is not
+    calm: float  # the nominal noise: smallest factor on R
+    start_probs: Floats  # (M,)
     outer_chain: Floats  # (I, I) and (L, L): generators whose Kronecker sum the chain is, or (0, 0)
     inner_chain: Floats
     treated: Ints  # (M,) noise treatments: see `TreatmentTables` for all of these
@@ -95,6 +100,7 @@ class Program(NamedTuple):
     error_count: Ints
     excitation_count: Ints
     alpha: Floats
+    optimise: NDArray[np.bool_]
 
 
 class Work(NamedTuple):
@@ -120,6 +126,7 @@ class Work(NamedTuple):
     R: Floats
     S: Floats
     S_modes: Floats
+    S_calm: Floats
     innovation: Floats
     cross: Floats
     gain: Floats
@@ -161,6 +168,7 @@ class Work(NamedTuple):
     hedge_factor: Floats
     hedge_whitened: Floats
     hedge_innovation: Floats
+    game: Floats
 
 
 def make_work(
@@ -186,6 +194,7 @@ def make_work(
     points = max(2 * joint + 1, modes)
     broad = (max(measured, errors) + 7) // 8 * 8
     excited = (excitations + 7) // 8 * 8
+    stacked = measured + excitations
     cached_dt = np.full(modes + 1, np.nan)
     return Work(
         cached_dt,
@@ -207,6 +216,7 @@ def make_work(
         np.zeros((measured, states)),
         np.zeros((measured, wide)),
         np.zeros((measured, wide)),
+        np.zeros((modes, measured, wide)),
         np.zeros((modes, measured, wide)),
         np.zeros((modes, measured)),
         np.zeros((measured, states)),
@@ -249,6 +259,7 @@ def make_work(
         np.zeros((excitations, excited)),
         np.zeros((excitations, 8)),
         np.zeros(excitations),
+        np.zeros((4, stacked, (stacked + 7) // 8 * 8)),
     )
 
 
@@ -268,6 +279,8 @@ def make_program(
     intents: tuple[str, ...] = (),
     shared: bool = False,
     chain_factors: tuple[Floats, Floats] | None = None,
+    restart: bool | None = None,
+    start_probs: Floats | None = None,
 ) -> Program:
     """The tables of a bank; every function of its motions is compiled (or loaded from the cache) here.
 
@@ -286,6 +299,8 @@ def make_program(
         intents: what each mode is about: among modes of one intent all components carry over; empty: all differ.
         shared: modes of one intent share their prediction.
         chain_factors: generators (I, I), (L, L) whose Kronecker sum ``chain`` is; None: it is no product.
+        restart: begin again where the target is lost; None: where noise is judged from innovations.
+        start_probs: mode probabilities at the start; (M,); None: equal.
 
     Returns:
         The `Program`.
@@ -320,6 +335,7 @@ def make_program(
     source, gathered, drawn, use_acceleration = _conversions(motions, intents, rule, states)
     sizes = tuple(motion.size for motion in motions)
     treated = treatment_tables(treatments or ((),) * modes, sizes, states, sensor.size)
+    judging = bool((treated.treated & ADAPTING).any() or np.ptp(treated.noise_scale) > 0.0)
     matrix = np.zeros((sensor.size, kin))
     if sensor.linear:
         for i in range(kin):
@@ -368,6 +384,10 @@ def make_program(
         reset_nis=float(reset_nis),
         shared=shared,
         leader=np.array([intents.index(intent) if shared else j for j, intent in enumerate(intents)], dtype=np.int64),
+        watched=judging or bool(restart),
+        restart=judging if restart is None else restart,
+        calm=float(treated.noise_scale.min()),
+        start_probs=np.full(modes, 1.0 / modes) if start_probs is None else np.array(start_probs, dtype=np.float64),
         outer_chain=np.zeros((0, 0)) if chain_factors is None else np.ascontiguousarray(chain_factors[0]),
         inner_chain=np.zeros((0, 0)) if chain_factors is None else np.ascontiguousarray(chain_factors[1]),
         **treated._asdict(),
@@ -417,7 +437,7 @@ def _example() -> Program:
         floats.reshape(0, 0, 0),
         ints, ints, ints, ints, ints, 0, False, tables.reshape(0, 0, 0), flags.reshape(0, 0), tables,
         flags.reshape(0, 0), 0, np.zeros(0), False, floats, flags, np.zeros(0), False, floats, 0.0, 0.0, 0.0, False,
-        ints, floats, floats, *treatment_tables((), (), 8, 1),
+        ints, False, False, 1.0, np.zeros(0), floats, floats, *treatment_tables((), (), 8, 1),
     )  # fmt: skip
 
 

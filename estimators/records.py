@@ -48,6 +48,7 @@ class State(NamedTuple):
     kin_mean: Floats  # (B, 2A)
     kin_cov: Floats  # (B, 2A, 2A)
     nis_average: Floats  # (B, M + 1) running mean of NIS per component: each mode, then the bank
+    refusals: Floats  # (B, 2 + D) of refused measurements: see `restarting.refusals_agree`
     time: Floats  # (B,)
     phase: NDArray[np.int64]  # (B,)
     layout: NDArray[np.int64]  # (1,) which bank's components these are
@@ -97,8 +98,8 @@ def make_outputs(tracks: int, rows: int, kin: int, modes: int) -> Outputs:
     )
 
 
-def make_state(tracks: int, modes: int, states: int, kin: int) -> State:
-    """A state of B tracks, M modes, N padded components, 2A kinematics, about which nothing is known."""
+def make_state(tracks: int, modes: int, states: int, kin: int, measured: int) -> State:
+    """A state of B tracks about which nothing is known: M modes, N padded components, 2A kinematics, D measured."""
     return State(
         mean=np.zeros((tracks, modes, states)),
         cov=np.zeros((tracks, modes, states, states)),
@@ -106,6 +107,7 @@ def make_state(tracks: int, modes: int, states: int, kin: int) -> State:
         kin_mean=np.zeros((tracks, kin)),
         kin_cov=np.zeros((tracks, kin, kin)),
         nis_average=np.ones((tracks, modes + 1)),
+        refusals=np.zeros((tracks, 2 + measured)),
         time=np.zeros(tracks),
         phase=np.full(tracks, RUNNING, dtype=np.int64),
         layout=np.zeros(1, dtype=np.int64),
@@ -117,7 +119,7 @@ def _example_inputs() -> Inputs:
     return Inputs(np.zeros((0, 0)), np.zeros((0, 0, 0)), four, np.zeros((0, 0, 0)), four, indices, indices)
 
 
-STATE = record_type("state", lambda: make_state(0, 0, 0, 0))
+STATE = record_type("state", lambda: make_state(0, 0, 0, 0, 0))
 INPUTS = record_type("inputs", _example_inputs)
 OUTPUTS = record_type("outputs", lambda: make_outputs(0, 0, 0, 0))
 inputs_at = reference_reader(INPUTS)

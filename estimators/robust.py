@@ -45,6 +45,7 @@ __all__ = [
     "corrected_noise",
     "excitation",
     "linear_update",
+    "optimal_regulation",
     "regulation_bound",
     "robust_predict",
 ]
@@ -52,9 +53,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 _SWEEPS = 60
-_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
-_SEARCH = 16.0
-_EVALUATIONS = 52
+_SEARCH, _HALVINGS = 16.0, 52
 
 
 @inner_kernel
@@ -150,6 +149,67 @@ def regulation_bound(HM, R, d, q, work):
                     gram[i, j] += rows[i, k] * rows[k, j]
         power *= 2.0
     return np.exp(logarithm)
+
+
+@inner_kernel
+def optimal_regulation(S, v, HM, bound, t, d, q, work):
+    """The regulation above ``bound`` that minimises ``G(lambda)``, by bisection of ``ln(lambda / lambda_l - 1)``.
+
+    Model: with both innovations stacked (statement, then measurement), ``G = v' (S + diag(I, -H M M' H') / lambda)^-1
+    v``. It has one minimum; with ``y`` the solution, its slope has the sign of ``||y_E||^2 - ||M' H' y_z||^2``. A
+    slope is known to all digits where values of G near the minimum agree in all of theirs.
+
+    Args:
+        S, v: covariance without the terms in lambda (t + d, t + d), innovations in column 0; t, d: their sizes.
+        HM, q: (d, q); bound: ``lambda_l`` > 0.
+        work: scratch (2, t + d, padded).
+
+    Source: Sayed (2001), eq. 10-13. Differs: the value of the game after completing the square.
+    """
+    low, high = -_SEARCH, _SEARCH
+    factor, y = work[0], work[1]
+    size = t + d
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        share = 1.0 / (bound * (1.0 + np.exp(middle)))
+        for a in range(size):
+            for b in range(size):
+                factor[a, b] = S[a, b]
+                if a >= t and b >= t:
+                    for k in range(q):
+                        factor[a, b] -= share * HM[a - t, k] * HM[b - t, k]
+            if a < t:
+                factor[a, a] += share
+        copy_matrix(v, y, size)
+        _solve(factor, y, size)
+        slope = 0.0
+        for a in range(t):
+            slope += y[a, 0] * y[a, 0]
+        for k in range(q):
+            seen = 0.0
+            for a in range(d):
+                seen += HM[a, k] * y[t + a, 0]
+            slope -= seen * seen
+        if slope >= 0.0:
+            high = middle
+        else:
+            low = middle
+    return bound * (1.0 + np.exp(0.5 * (low + high)))
+
+
+@inner_kernel
+def _solve(S, y, n):
+    """``y <- S^-1 y`` for one column, S positive definite, by plain Gauss elimination; S is overwritten."""
+    for i in range(n):
+        for k in range(i + 1, n):
+            share = S[k, i] / S[i, i]
+            for c in range(i, n):
+                S[k, c] -= share * S[i, c]
+            y[k, 0] -= share * y[i, 0]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            y[i, 0] -= S[i, k] * y[k, 0]
+        y[i, 0] /= S[i, i]
 
 
 @inner_kernel
@@ -256,39 +316,50 @@ def _pass(mean, cov, z, model, regulation, n, q, first, work, means, covs):
     return total
 
 
-@entry_kernel
-def _step(mean, cov, z, model, bound, alpha, search, n, q, first, work, means, covs):
-    """One step in either form; returns the regulation and the cost.
+@inner_kernel
+def _best(mean, cov, z, model, bound, n, q, work, game):
+    """`optimal_regulation` of one step in filtered form."""
+    d, t, N = model.H.shape[0], model.E.shape[0], model.F_transposed.shape[0]
+    m, P, m_next, P_next, spread, cross, seen = work[9, 1], work[10], work[9, 2], work[0], work[1], work[2], work[3]
+    S, v = game[3], game[2]
+    for i in range(N):
+        m[i] = mean[i] if i < n else 0.0
+        copy_vector(cov[i] if i < n else model.Q_inputs[i], P[i])
+    multiply(model.E, P, t, N, spread)
+    multiply(spread, model.F_transposed, t, N, cross)
+    predict_linear(m, P, model.F_transposed, model.Q, N, work[6], m_next, P_next)
+    multiply(model.H, P_next, d, n, seen)
+    for a in range(t):
+        v[a, 0] = 0.0
+        for i in range(N):
+            v[a, 0] -= model.E[a, i] * m[i]
+        for b in range(t):
+            S[a, b] = 0.0
+            for i in range(N):
+                S[a, b] += spread[a, i] * model.E[b, i]
+        for b in range(d):
+            S[a, t + b] = 0.0
+            for i in range(n):
+                S[a, t + b] += cross[a, i] * model.H[b, i]
+            S[t + b, a] = S[a, t + b]
+    for a in range(d):
+        v[t + a, 0] = z[a]
+        for i in range(n):
+            v[t + a, 0] -= model.H[a, i] * m_next[i]
+        for b in range(d):
+            S[t + a, t + b] = model.R[a, b]
+            for i in range(n):
+                S[t + a, t + b] += seen[a, i] * model.H[b, i]
+    return optimal_regulation(S, v, model.HM, bound, t, d, q, game)
 
-    With ``search``, golden section over ``ln(lambda / lambda_l - 1)``: evaluations 0 and 1 are the first two inner
-    points, the last one is the step itself.
-    """
-    low, high = -_SEARCH, _SEARCH
-    left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-    at_left, at_right, cost = np.inf, np.inf, 0.0
-    evaluations = _EVALUATIONS if search and bound > 0.0 else 1
+
+@entry_kernel
+def _step(mean, cov, z, model, bound, alpha, search, n, q, first, work, game, means, covs):
+    """One step in either form; returns the regulation and the cost."""
     regulation = (1.0 + alpha) * bound
-    on_left = True
-    for i in range(evaluations):
-        if i < evaluations - 1:
-            on_left = i == 0 or (i > 1 and on_left)
-            regulation = bound * (1.0 + np.exp(left if on_left else right))
-        elif evaluations > 1:
-            regulation = bound * (1.0 + np.exp(0.5 * (low + high)))
-        cost = _pass(mean, cov, z, model, regulation, n, q, first, work, means, covs)
-        if on_left:
-            at_left = cost
-        else:
-            at_right = cost
-        if i >= 1:
-            on_left = at_left <= at_right
-            if on_left:
-                high, right, at_right = right, left, at_left
-                left = high - _GOLDEN * (high - low)
-            else:
-                low, left, at_left = left, right, at_right
-                right = low + _GOLDEN * (high - low)
-    return regulation, cost
+    if search and bound > 0.0:
+        regulation = _best(mean, cov, z, model, bound, n, q, work, game)
+    return regulation, _pass(mean, cov, z, model, regulation, n, q, first, work, means, covs)
 
 
 @entry_kernel
@@ -319,7 +390,7 @@ class RobustFilter:
         noise_gain: G; (n, m); None: the identity.
         noise_excitation: E_g; (t, m); None: zero.
         alpha: regulation is ``(1 + alpha)`` times its bound; > 0.
-        optimise: search the regulation that minimises ``G(lambda)`` by golden section (filtered form only: the
+        optimise: search the regulation that minimises ``G(lambda)`` by bisection of its slope (filtered form only: the
             prediction form must choose before it sees the measurement).
 
     Raises:
@@ -434,9 +505,14 @@ class RobustFilter:
         total, width = model.F_transposed.shape
         m, P, means, covs = (np.zeros(width), np.zeros((n, width)), np.zeros((2, width)), np.zeros((2, total, width)))
         m[:n], P[:, :n] = values[0], values[1]
-        work = np.zeros((11, max(total, d, len(model.E), 2), width))
+        work = np.zeros((11, max(total, d, len(model.E), 3), width))
+        stacked = d + len(model.E)
+        game = np.zeros((4, stacked, padded(stacked)))
         search = self.optimise and first
-        regulation, cost = _step(m, P, values[2], model, self.bound, self.alpha, search, n, q, first, work, means, covs)
+        bound = self.bound
+        regulation, cost = _step(
+            m, P, values[2], model, bound, self.alpha, search, n, q, first, work, game, means, covs
+        )
         return means[:, :n], covs[:, :n, :n], float(regulation), float(cost)
 
 

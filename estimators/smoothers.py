@@ -29,7 +29,16 @@ from numpy.typing import NDArray
 from jink.estimators.compiled import call_transition, entry_kernel, inner_kernel
 from jink.estimators.fusion import fuse
 from jink.estimators.interaction import convert_point, joint_points, own_prior
-from jink.estimators.linalg import cholesky, clear_tails, copy_matrix, copy_vector, solve_lower, solve_upper, wrap_angle
+from jink.estimators.linalg import (
+    cholesky,
+    clear_tails,
+    copy_matrix,
+    copy_vector,
+    diagonalise,
+    solve_lower,
+    solve_upper,
+    wrap_angle,
+)
 from jink.estimators.markov import transition_matrix
 from jink.estimators.modes import process_noise
 from jink.estimators.program import BIRTH, program_at, work_at
@@ -81,7 +90,6 @@ CODES = types.Array(types.int8, 1, "C")
 smoother_at = reference_reader(SMOOTHER)
 
 _UNINFORMED = 1.0 - 1e-12
-_SWEEPS = 12
 
 
 @inner_kernel
@@ -139,34 +147,6 @@ def _pair_prediction(program, work, i, j, m, P, m_own, P_own, dt, near, ahead_me
 
 
 @inner_kernel
-def _diagonalise(A, V, n):
-    """Eigenvalues onto the diagonal of symmetric ``A`` and eigenvectors into the columns of ``V``, by Jacobi."""
-    for a in range(n):
-        for c in range(n):
-            V[a, c] = 1.0 if a == c else 0.0
-    for _ in range(_SWEEPS):
-        for a in range(n - 1):
-            for c in range(a + 1, n):
-                if abs(A[a, c]) > 1e-15 * (abs(A[a, a]) + abs(A[c, c])):
-                    slope = 0.5 * (A[c, c] - A[a, a]) / A[a, c]
-                    sign = 1.0 if slope >= 0.0 else -1.0
-                    tangent = sign / (abs(slope) + np.sqrt(slope * slope + 1.0))
-                    cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
-                    sine = tangent * cosine
-                    for k in range(n):
-                        left, right = A[k, a], A[k, c]
-                        A[k, a] = cosine * left - sine * right
-                        A[k, c] = sine * left + cosine * right
-                    for k in range(n):
-                        left, right = A[a, k], A[c, k]
-                        A[a, k] = cosine * left - sine * right
-                        A[c, k] = sine * left + cosine * right
-                        left, right = V[k, a], V[k, c]
-                        V[k, a] = cosine * left - sine * right
-                        V[k, c] = sine * left + cosine * right
-
-
-@inner_kernel
 def _future_likelihood(p, P, s, S, n, angular, factor, A, V, rows, values, noises):
     """The future as independent scalar measurements ``rows[d] (x - p) = values[d] + N(0, noises[d])``; their count.
 
@@ -183,7 +163,7 @@ def _future_likelihood(p, P, s, S, n, angular, factor, A, V, rows, values, noise
     for a in range(n):
         for c in range(a):
             A[a, c] = A[c, a] = 0.5 * (A[a, c] + A[c, a])
-    _diagonalise(A, V, n)
+    diagonalise(A, V, n)
     count = 0
     for d in range(n):
         eigenvalue = max(A[d, d], 1e-15)

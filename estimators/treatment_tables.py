@@ -52,6 +52,7 @@ class TreatmentTables(NamedTuple):
     error_count: Ints  # (M,)
     excitation_count: Ints  # (M,)
     alpha: Floats  # (M,)
+    optimise: NDArray[np.bool_]  # (M,) regulation is searched
 
 
 def reset_by_moments(dof: float, d: int) -> float:
@@ -118,6 +119,7 @@ def treatment_tables(
         error_count=np.zeros(modes, dtype=np.int64),
         excitation_count=np.zeros(modes, dtype=np.int64),
         alpha=np.zeros(modes),
+        optimise=np.zeros(modes, dtype=np.bool_),
     )
     counts = range(1, measured + 1)
     for j, items in enumerate(treatments):
@@ -144,6 +146,7 @@ def treatment_tables(
                 tables.excitation[j, :t, :n] = item.excitation
                 tables.noise_excitation[j, :t, :n] = item.noise_excitation
                 tables.error_count[j], tables.excitation_count[j], tables.alpha[j] = q, t, item.alpha
+                tables.optimise[j] = item.optimise
         if tables.noise_scale[j] != 1.0:
             tables.treated[j] |= SCALED
         if np.isfinite(tables.dof[j]):

@@ -22,16 +22,25 @@ DENSITIES = {"nominal": NOMINAL, "adapted": ADAPTED, "t": STUDENT}
 """By which density of its innovation an adaptive mode is weighed."""
 
 
-def _number(caller: str, name: str, value: float, low: float, remedy: str, *, infinite: bool = False) -> float:
-    number = float(value)
-    if not (number > low and (infinite or math.isfinite(number))):
-        ends = "" if infinite else " and finite"
-        raise ValueError(f"{caller}: {name} must be > {low:g}{ends}; got {value!r}. {remedy}")
+def _number(
+    caller: str, name: str, value: float, low: float, remedy: str, *, high: float = math.inf, infinite: bool = False
+) -> float:
+    try:
+        number = math.nan if isinstance(value, str | bytes | bool) else float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not (low < number <= high and (infinite or math.isfinite(number))):
+        ends = "" if infinite else " and finite" if math.isinf(high) else f" and at most {high:g}"
+        raise ValueError(f"{caller}: {name} must be a number > {low:g}{ends}; got {value!r}. {remedy}")
     return number
 
 
+def _whole(value: object, low: int, high: int) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and bool(low <= value <= high)
+
+
 def _choice(caller: str, name: str, value: str, choices: tuple[str, ...]) -> None:
-    if value not in choices:
+    if not isinstance(value, str) or value not in choices:
         raise ValueError(f"{caller}: {name} must be one of {', '.join(choices)}; got {value!r}. Pick one.")
 
 
@@ -58,7 +67,8 @@ class Adaptive:
         likelihood: the mode is weighed by ``nominal``: ``N(v; 0, S)`` with the nominal R; ``adapted``: with R~;
             ``t``: Student's t with ``dof`` and the nominal S as scale.
         dof: of that t; > 0.
-        cap: R~ is at most this times R; > 1. A cap of about 1000 keeps rejection from losing ``adapted`` banks.
+        cap: R~ is at most this times R; > 1, at most `LARGEST_INFLATION`. About 1000 keeps rejection from losing
+            ``adapted`` banks.
         probabilities: chi-square probabilities of the thresholds; None: the factor's usual ones.
 
     Raises:
@@ -76,7 +86,9 @@ class Adaptive:
     def __post_init__(self) -> None:
         _choice("Adaptive", "likelihood", self.likelihood, tuple(DENSITIES))
         object.__setattr__(self, "dof", _number("Adaptive", "dof", self.dof, 0.0, "Use 3."))
-        object.__setattr__(self, "cap", _number("Adaptive", "cap", self.cap, 1.0, "Use 1e3 or 1e9."))
+        object.__setattr__(
+            self, "cap", _number("Adaptive", "cap", self.cap, 1.0, "Use 1e3, or leave it out.", high=LARGEST_INFLATION)
+        )
         if isinstance(self.factor, str):
             make_factor(self.factor, self.probabilities)
         elif not isinstance(self.factor, Factor):
@@ -112,7 +124,7 @@ class BoundedTails:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "dof", _number("BoundedTails", "dof", self.dof, 0.0, "Use 3."))
-        if self.iterations != int(self.iterations) or not 1 <= self.iterations <= 50:
+        if not _whole(self.iterations, 1, 50):
             raise ValueError(
                 f"BoundedTails: iterations must be an integer from 1 to 50; got {self.iterations!r}. Use 4."
             )
@@ -167,15 +179,18 @@ class Uncertain:
     """The model itself is off by a bounded amount (Sayed's filter).
 
     Model: ``x+ = (F + dF) x + w + dw``, ``[dF dG] = M Delta [E_f E_g]``, ``||Delta|| <= 1``, ``dw = M Delta E_g w``;
-    regulation ``lambda = (1 + alpha) ||M' H' R^-1 H M||``. Written as a statement ``0 = E_f x + E_g w + N(0, I /
-    lambda)`` about the prediction, and ``R^ = R - H M M' H' / lambda``. P weighs the regularisation: it is no error
-    covariance. Nonlinear motions by statistical linearisation. Not applied where nothing is measured.
+    regulation ``lambda = (1 + alpha) ||M' H' R^-1 H M||``, or the best one above that bound. Written as a statement
+    ``0 = E_f x + E_g w + N(0, I / lambda)`` about the prediction, and ``R^ = R - H M M' H' / lambda``. P weighs the
+    regularisation: it is no error covariance. Nonlinear motions by statistical linearisation. Not applied where nothing
+    is measured.
 
     Args:
         error: M; (n, q).
         excitation: E_f; (t, n).
         noise_excitation: E_g; (t, n), on the process noise w of the motion; None: zero.
         alpha: > 0.
+        optimise: search the lambda that minimises ``G(lambda)``, as `RobustFilter` does; ``alpha`` is then unused.
+            Costs about as much as ten filters.
 
     Raises:
         ValueError: shapes do not fit each other, or numbers are not finite.
@@ -187,8 +202,11 @@ class Uncertain:
     excitation: tuple[tuple[float, ...], ...]
     noise_excitation: tuple[tuple[float, ...], ...] | None = None
     alpha: float = 0.5
+    optimise: bool = False
 
     def __post_init__(self) -> None:
+        if not isinstance(self.optimise, bool):
+            raise ValueError(f"Uncertain: optimise must be True or False; got {self.optimise!r}. Leave it out.")
         object.__setattr__(self, "alpha", _number("Uncertain", "alpha", self.alpha, 0.0, "Use 0.5."))
         M, E_f = self._rows("error", self.error), self._rows("excitation", self.excitation)
         given = self.noise_excitation

@@ -189,11 +189,43 @@ def test_oracles_are_told_noise_and_intent():
         oracle(joint_bank(bank), z, times)
 
 
+def test_oracles_refuse_in_sentences():
+    _, z, times, _ = surged(4, tracks=2, rows=10)
+    bank = intent_imm(SENSOR, Scales())
+    told = np.zeros((2, 10), dtype=int)
+    cases = [
+        ((z, times[:7]), {"intents": told}, r"oracle: times must have shape \(10,\)"),
+        ((z, times), {"intents": told[:, :7]}, r"must be integers below 4 with shape \(2, 10\); got shape \(2, 7\)"),
+        ((z, times), {"intents": told + 0.5}, "got float64"),
+        ((z, times), {"intents": told + 4}, "got 4 among them"),
+        ((z[..., :1], times), {"intents": told}, "oracle: measurements must have shape"),
+        ((z, times), {"intents": told, "names": "hover"}, r"got \['hover'\]"),
+    ]
+    for given, options, sentence in cases:
+        with pytest.raises(ValueError, match=sentence):
+            oracle(bank, *given, prior=PRIOR, **options)
+
+
+def test_close_levels_keep_distinct_names():
+    bank = joint_bank(PLAIN, (1.0, 4.0000001, 4.0000002, 100))
+    names = [mode.name for mode in bank.modes]
+    assert names == ["cv 1R", "cv 4.0000001R", "cv 4.0000002R", "cv 100R"]
+
+
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
         (lambda: joint_bank(PLAIN, (1.0, 1.0)), "joint_bank: levels must be two or more distinct"),
         (lambda: level_chain(back=1.5), "level_chain: back must be in"),
+        (lambda: level_chain(back="x"), "level_chain: back must be in"),
+        (lambda: level_chain([]), "level_chain: levels must be two or more distinct factors on R, > 0; got []"),
+        (lambda: level_chain([1.0]), "level_chain: levels must be two or more distinct"),
+        (lambda: level_chain(calm=0.0), "level_chain: calm must be > 0 s and finite; got 0.0"),
+        (lambda: level_chain(surge="x"), "level_chain: surge must be > 0 s and finite; got 'x'"),
+        (lambda: joint_bank(PLAIN, 5), "joint_bank: levels must be two or more distinct factors on R, > 0; got 5"),
+        (lambda: joint_bank(PLAIN, "15"), "joint_bank: levels must be"),
+        (lambda: joint_bank(PLAIN, (1.0, -4.0)), "joint_bank: levels must be"),
+        (lambda: joint_bank(None), "joint_bank: bank must be a Bank; got NoneType"),
         (lambda: joint_bank(PLAIN.with_(modes=(Mode("a", CV), Mode("b", CV)), chain=MarkovChain.per_step(np.eye(2)))),
          "joint_bank: bank must have a chain in continuous time"),
         (lambda: Bank((Mode("a", CV, None, "i"), Mode("b", constant_velocity(2, acceleration_density=2.0), None, "i")),

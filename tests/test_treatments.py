@@ -33,6 +33,7 @@ EVERY = {
     "heavy-tails": HeavyTails(4.0),
     "heavy-tails-unequal": HeavyTails(4.0, 3.0, 6.0, reset="divergence", mix_factor="plain"),
     "uncertain": Uncertain(ERROR, EXCITED),
+    "uncertain-optimal": Uncertain(ERROR, EXCITED, EXCITED, optimise=True),
     "uncertain-adaptive-level": (Uncertain(ERROR, EXCITED, EXCITED), Adaptive("chang"), Level(2.0)),
 }
 ROWS = 40
@@ -208,9 +209,30 @@ def test_an_uncertain_mode_is_the_robust_filter(seed, driven):
     np.testing.assert_allclose(out.covariance[0, 1], peer.cov, atol=1e-10)
 
 
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("driven", [False, True])
+def test_an_optimal_regulation_is_that_of_the_robust_filter(seed, driven):
+    rng = np.random.default_rng(seed)
+    F = np.eye(2) + 0.3 * rng.normal(size=(2, 2))
+    Q, P = np.eye(2) + 0.2, 2.0 * np.eye(2) + 0.3
+    H, M, E_f = rng.normal(size=(2, 2)), 0.3 * rng.normal(size=(2, 3)), rng.normal(size=(2, 2))
+    E_g = rng.normal(size=(2, 2)) if driven else np.zeros((2, 2))
+    mean, z = 3.0 * rng.normal(size=2), 3.0 * rng.normal(size=2)
+    given = (F, H, Q, np.eye(2), M, E_f)
+    peer = RobustFilter(*given, noise_excitation=E_g, optimise=True).step_filtered(mean, P, z)
+    treatment = Uncertain(M.tolist(), E_f.tolist(), E_g.tolist(), optimise=True)
+    for points in (False, True):
+        bank = Bank((Mode("m", given_motion(F, Q), treatment),), given_sensor(H, [1.0, 1.0]), every_sigma_point=points)
+        out = one_update(BankEstimator(bank), mean, P, z)
+        np.testing.assert_allclose([out.position[0, 1, 0], out.velocity[0, 1, 0]], peer.mean, atol=1e-9)
+        np.testing.assert_allclose(out.covariance[0, 1], peer.cov, atol=1e-9)
+    bound = RobustFilter(*given, noise_excitation=E_g).step_filtered(mean, P, z)
+    assert np.abs(bound.mean - peer.mean).max() > 1e-6
+
+
 def test_sigma_points_linearise_a_linear_model_error_exactly():
     z, times = flight()
-    for treatment in (EVERY["uncertain"], EVERY["uncertain-adaptive-level"]):
+    for treatment in (EVERY["uncertain"], EVERY["uncertain-adaptive-level"], EVERY["uncertain-optimal"]):
         mode = Mode("cv", constant_velocity(2), treatment)
         exact = Bank((mode,), position(2, 1.0))
         points = BankEstimator(exact.with_(every_sigma_point=True)).run(z, times)
@@ -379,17 +401,34 @@ def test_plain_python_agrees():
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
-        (lambda: Level(0.0), "Level: scale must be > 0"),
+        (lambda: Level(0.0), "Level: scale must be a number > 0"),
         (lambda: Adaptive("hubert"), "name must be one of none, mr"),
         (lambda: Adaptive(likelihood="x"), "Adaptive: likelihood must be one of nominal, adapted, t"),
-        (lambda: Adaptive(cap=0.5), "Adaptive: cap must be > 1"),
+        (lambda: Adaptive(cap=0.5), "Adaptive: cap must be a number > 1 and at most 1e+09"),
         (lambda: BoundedTails(iterations=0), "BoundedTails: iterations must be an integer"),
-        (lambda: HeavyTails(2.0), "HeavyTails: dof must be > 2"),
-        (lambda: HeavyTails(5.0, noise_dof=1.0), "HeavyTails: noise_dof must be > 2"),
+        (lambda: HeavyTails(2.0), "HeavyTails: dof must be a number > 2"),
+        (lambda: HeavyTails(5.0, noise_dof=1.0), "HeavyTails: noise_dof must be a number > 2"),
         (lambda: HeavyTails(reset="kl"), "HeavyTails: reset must be one of moments, divergence"),
         (lambda: Uncertain(((1.0,),), ((1.0, 2.0),)), "noise_excitation must have shapes"),
         (lambda: Uncertain(((np.nan,),), ((1.0,),)), "Uncertain: error must be a finite matrix"),
-        (lambda: Uncertain(ERROR, EXCITED, alpha=0.0), "Uncertain: alpha must be > 0"),
+        (lambda: Uncertain(ERROR, EXCITED, alpha=0.0), "Uncertain: alpha must be a number > 0"),
+        (lambda: Level(None), "Level: scale must be a number > 0 and finite; got None"),
+        (lambda: Level("4"), "Level: scale must be a number"),
+        (lambda: Level(True), "Level: scale must be a number"),
+        (lambda: Adaptive(cap=1e10), "Adaptive: cap must be a number > 1 and at most 1e+09; got 10000000000.0"),
+        (lambda: Adaptive(dof=[3.0, 4.0]), "Adaptive: dof must be a number"),
+        (lambda: Adaptive(likelihood=["t"]), "Adaptive: likelihood must be one of"),
+        (lambda: Adaptive("huber", probabilities=0.9), "make_factor: probabilities of huber must have 1 entries"),
+        (lambda: Adaptive("huber", probabilities=("x",)), "Factor: probabilities must be at most two"),
+        (lambda: HeavyTails("x"), "HeavyTails: dof must be a number"),
+        (lambda: HeavyTails(math.nan), "HeavyTails: dof must be a number > 2"),
+        (lambda: HeavyTails(matrices=["scale"]), "HeavyTails: matrices must be one of"),
+        (lambda: BoundedTails(None), "BoundedTails: dof must be a number"),
+        (lambda: BoundedTails(iterations=math.nan), "BoundedTails: iterations must be an integer"),
+        (lambda: BoundedTails(iterations="4"), "BoundedTails: iterations must be an integer"),
+        (lambda: BoundedTails(iterations=True), "BoundedTails: iterations must be an integer"),
+        (lambda: Uncertain(ERROR, EXCITED, alpha=None), "Uncertain: alpha must be a number"),
+        (lambda: Uncertain(ERROR, EXCITED, optimise="yes"), "Uncertain: optimise must be True or False; got 'yes'"),
         (lambda: Mode("m", constant_velocity(2), (Adaptive(), HeavyTails())), "Mode: treatment of m must be one of"),
         (lambda: Mode("m", constant_velocity(2), "huber"), "Mode: treatment of m must be one of"),
         (lambda: Mode("m", constant_velocity(3), Uncertain(ERROR, EXCITED)), "must have error with 6 rows"),
