@@ -30,7 +30,7 @@ def disagreement(estimates: ArrayLike) -> Floats:
             f"disagreement: estimates must have nodes first and components last; got shape {x.shape}. "
             "Give for instance (N, T, A)."
         )
-    there = np.isfinite(x).all(axis=-1)
+    there = np.asarray(np.isfinite(x).all(axis=-1))
     count = there.sum(axis=0)
     known = np.where(there[..., None], x, 0.0)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -67,10 +67,17 @@ def gospa(estimate: ArrayLike, truth: ArrayLike, cutoff: float, order: float = 2
     false_count, missed_count = counts - pairs
     half = 0.5 * cutoff**order
     total = located + half * (missed_count + false_count)
-    parts = (total ** (1.0 / order), located, half * missed_count, half * false_count)
-    if np.ndim(truth) == 2:
-        return Gospa(*(part[0] for part in parts), pairs[0], missed_count[0], false_count[0], estimate_of[:, 0])
-    return Gospa(*parts, pairs, missed_count, false_count, estimate_of)
+    found = Gospa(
+        total ** (1.0 / order),
+        located,
+        half * missed_count,
+        half * false_count,
+        pairs,
+        missed_count,
+        false_count,
+        estimate_of,
+    )
+    return Gospa._make(part[..., 0] for part in found) if np.ndim(truth) == 2 else found
 
 
 def ospa(estimate: ArrayLike, truth: ArrayLike, cutoff: float, order: float = 2.0) -> Floats:
