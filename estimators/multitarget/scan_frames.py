@@ -1,4 +1,4 @@
-"""Tables in the track format to `Scans`: detections of a scan share `t` and `sensor`, an empty scan is a row without values."""
+"""Tables in the track format to `Scans`: rows that share `t` and `sensor` are a scan, one without values is empty."""
 
 from __future__ import annotations
 

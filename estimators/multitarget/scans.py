@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -72,7 +72,7 @@ class Scans:
     sensor_states: Array | None = None
     noise: Array | None = None
     rows: NDArray[np.int64] | None = None
-    cleaning: Cleaning = Cleaning()
+    cleaning: Cleaning = field(default_factory=Cleaning)
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -104,11 +104,12 @@ class Scans:
         self._check_values()
 
     def _check_values(self) -> None:
-        K, N = len(self.times), len(self.detections)
+        K, N, S = len(self.times), len(self.detections), len(self.sensors)
+        ordered = np.isfinite(self.times).all() and (np.diff(self.times) >= 0).all()
         ends = self.offsets[0] == 0 and self.offsets[-1] == N and (np.diff(self.offsets) >= 0).all()
         for name, rule, good in (
-            ("times", "be finite and never decrease", np.isfinite(self.times).all() and (np.diff(self.times) >= 0).all()),
-            ("sensor", f"name sensors 0..{len(self.sensors) - 1}", ((self.sensor >= 0) & (self.sensor < len(self.sensors))).all()),
+            ("times", "be finite and never decrease", ordered),
+            ("sensor", f"name sensors 0..{S - 1}", ((self.sensor >= 0) & (self.sensor < S)).all()),
             ("offsets", f"never decrease from 0 to {N}", ends),
             ("detections", f"be finite and below {ABSURD:g}", (np.abs(self.detections) < ABSURD).all()),
             ("sensor_states", "be finite", np.isfinite(self.sensor_states).all()),
