@@ -130,7 +130,7 @@ def fit_window(
             posterior_priors(offsets, begins, weight, log_target, log_volume, log_clutter)
         centroids(begins, pairs, sensing.sizes, sensor, residual, weight, ratio, mass, pull, spread, hits)
         at[:] = means
-        energy, trouble = 0.0, 0
+        energy, trouble, final = 0.0, 0, corrected and last
         for m in range(M):
             if begin[m] >= K:
                 continue
@@ -138,7 +138,7 @@ def fit_window(
                 table = 0 if linear else m
                 one, bad = smooth_target(
                     moving, times, F[table], Q[table], prior_mean[m, 0], prior_cov[m, 0], begin[m], sensor,
-                    sensing.sizes, noise, H[m], mass[m], pull[m], at[m], spread[m], corrected and last,
+                    sensing.sizes, noise, H[m], mass[m], pull[m], at[m], spread[m], final,
                     small, rows, vectors, squares, pm, pP, fm[m], fP[m], means[m], covs[m],
                 )  # fmt: skip
                 for k in range(begin[m], K):
@@ -150,7 +150,7 @@ def fit_window(
             else:
                 one, bad = smooth_bank(
                     F, Q, chain, prior_mean[m], prior_cov[m], prior_probs[m], begin[m], sensor, sensing.sizes, noise,
-                    H[m], mass[m], pull[m], at[m], spread[m], corrected and last, small, rows, vectors, squares,
+                    H[m], mass[m], pull[m], at[m], spread[m], final, small, rows, vectors, squares,
                     mixed_mean, mixed_cov, log_probs, jm[m], jP[m], probs[m], pm, pP, fm[m], fP[m], means[m], covs[m],
                 )  # fmt: skip
                 last_mean[m], last_cov[m], last_probs[m] = mixed_mean[1], mixed_cov[1], log_probs
