@@ -13,6 +13,7 @@ from jink.estimators.multitarget.pmht_kernels import (
     find_pairs,
     noise_tables,
     posterior_priors,
+    predictive_densities,
     weigh,
 )
 from jink.estimators.multitarget.scoring import score_tracks
@@ -43,7 +44,7 @@ def _set_priors(detected, density, volume, missed_rule, log_target, log_clutter)
 def fit_window(
     moving, sensing, times, origin, sensor, places, noise, detections, offsets, begin,
     prior_mean, prior_cov, prior_probs, chain, means, covs, gates, detected, density, volume,
-    iterations, tolerance, inflations, log_shares, scales, updated, missed_rule, rounds, corrected,
+    iterations, tolerance, inflations, log_shares, scales, updated, missed_rule, rounds, corrected, adaptive,
 ):  # fmt: skip
     """EM over K scans for M targets with J modes.
 
@@ -64,6 +65,7 @@ def fit_window(
         missed_rule: clutter prior times 1 - P_D.
         rounds: 0: PMHT; else at most one detection per target, with so many exchanges.
         corrected: the last pass adds the uncertainty of the assignment to covariances.
+        adaptive: in so many first iterations the density is ``N(z; h(x), H P H' + R)``.
 
     Returns:
         objective of each iterate from the first M-step on (NaN where there was none; (iterations,)), pairs as begins
@@ -95,7 +97,7 @@ def fit_window(
     message, peak, total = np.zeros(P), np.zeros(N), np.zeros(N)
     mass, hits, pull, spread = np.zeros((M, K)), np.zeros((M, K)), np.zeros((M, K, D)), np.zeros((M, K, D, D))
     small, rows, vectors = np.zeros((D, D)), np.zeros((2, D, n)), np.zeros((6, wide))
-    squares, at = np.zeros((4, n, n)), np.zeros((M, K, n))
+    squares, at, second = np.zeros((4, n, n)), np.zeros((M, K, n)), np.zeros((D, D))
     mixed_mean, mixed_cov, log_probs = np.zeros((2, J, n)), np.zeros((2, J, n, n)), np.zeros(J)
     jm, jP, probs = np.zeros((M, K, J, n)), np.zeros((M, K, J, n, n)), np.ones((M, K, J))
     pm, pP = np.zeros((K, n)), np.zeros((K, n, n))
@@ -109,16 +111,24 @@ def fit_window(
         tau = inflations[turn] if turn < inflations.size else 1.0
         if turn > 0:
             linearise(moving, sensing, sensor, places, means, begin, kin, above, below, seen, H)
-        densities(
-            detections, sensor, sensing.sizes, sensing.angular, whiten, log_norm, seen, begins, pairs, tau,
-            log_shares, scales, residual, log_density, ratio,
-        )  # fmt: skip
+        if turn < adaptive:
+            predictive_densities(
+                detections, sensor, sensing.sizes, sensing.angular, noise, seen, H, covs, begins, pairs,
+                small, second, rows[1], residual, log_density, ratio,
+            )  # fmt: skip
+        else:
+            densities(
+                detections, sensor, sensing.sizes, sensing.angular, whiten, log_norm, seen, begins, pairs, tau,
+                log_shares, scales, residual, log_density, ratio,
+            )  # fmt: skip
         value, unexplained = weigh(offsets, begins, pairs, log_density, log_target, log_clutter, peak, total, weight)
         last = turn == iterations - 1
         if turn > 0:
             objective[turn - 1] = value + energy
             change = abs(objective[turn - 1] - before)
-            last = last or (turn > inflations.size and change <= tolerance * max(abs(objective[turn - 1]), 1.0))
+            last = last or (
+                turn > max(inflations.size, adaptive) and change <= tolerance * max(abs(objective[turn - 1]), 1.0)
+            )
             before = objective[turn - 1]
         if rounds > 0:
             for k in range(K):
@@ -198,7 +208,7 @@ def foresee(moving, chain, dt, last_mean, last_cov, last_probs):
 
 @entry_kernel
 def score_newest(moving, sensing, s, place, noise, detections, mean, cov, detected, density, gate):
-    """`score_tracks` of one scan against predictions: the scores (M,), and the candidates (begins, pairs, D^2).
+    """`score_tracks` of one scan against predictions: scores (M,), candidates as begins, pairs and ``P_D N``.
 
     Args:
         moving, sensing: tables.
@@ -219,18 +229,15 @@ def score_newest(moving, sensing, s, place, noise, detections, mean, cov, detect
         detections, offsets, sensor, sensing.sizes, sensing.angular, noises, seen, H, cov.copy().reshape((M, 1, n, n)),
         np.zeros(M, dtype=np.int64), np.full(1, gate),
     )  # fmt: skip
-    d = sensing.sizes[s]
     P = pairs.size
-    residual, likelihood, score = np.zeros((P, D)), np.zeros(P), np.zeros(M)
-    whiten, log_norm = np.zeros((1, D, D)), np.zeros(1)
-    noise_tables(sensing.sizes, sensor, noises, whiten, log_norm)
-    densities(
-        detections, sensor, sensing.sizes, sensing.angular, whiten, log_norm, seen, begins, pairs, 1.0,
-        np.zeros(1), np.ones(1), residual, likelihood, np.zeros(P),
+    likelihood, score = np.zeros(P), np.zeros(M)
+    predictive_densities(
+        detections, sensor, sensing.sizes, sensing.angular, noises, seen, H, cov.copy().reshape((M, 1, n, n)),
+        begins, pairs, np.zeros((D, D)), np.zeros((D, D)), np.zeros((D, n)), np.zeros((P, D)), likelihood,
+        np.zeros(P),
     )  # fmt: skip
-    score_tracks(
-        0, begins, pairs, 0, d, noises[0], residual, H[:, 0].copy(), cov, detected, density,
-        np.zeros((D, D)), np.zeros((D, D)), np.zeros((D, n)), np.zeros(D), np.zeros(detections.shape[0]), likelihood,
-        score,
-    )  # fmt: skip
+    for m in range(M):
+        for p in range(begins[m], begins[m + 1]):
+            likelihood[p] = detected[m] * np.exp(likelihood[p])
+    score_tracks(begins, pairs, detected, density, np.zeros(detections.shape[0]), likelihood, score)
     return score, begins, pairs, likelihood

@@ -20,6 +20,7 @@ from jink.estimators.multitarget.em import foresee, score_newest
 from jink.estimators.multitarget.placing import place_detections
 from jink.estimators.multitarget.results import Newest, kinematic_moments
 from jink.estimators.multitarget.scans import Scan
+from jink.estimators.multitarget.scoring import assign_in_order
 from jink.estimators.multitarget.tracked import fresh_tracks, join, keep, state_moments
 
 if TYPE_CHECKING:
@@ -195,17 +196,15 @@ def _extend(estimator: Pmht, state: PmhtState, scan: Scan, values: Array, free: 
         np.ascontiguousarray(values[free]), mean, cov, detected, sensor.density, gate,
     )  # fmt: skip
     target = np.repeat(np.arange(U), np.diff(begins))
-    choice = np.full(U, -1, dtype=np.int64)
-    used = np.zeros(len(free), dtype=bool)
     evidence = np.log(np.maximum(1.0 - detected, 1e-12))
-    # The older a tentative track's evidence, the earlier it chooses: a new one may not starve it.
+    # The more evidence a tentative track has, the earlier it chooses: a new one may not starve it.
     order = np.lexsort((-likelihood, -tentative.evidence[target]))
-    for p in order:
-        m, r = target[p], pairs[p]
-        if choice[m] < 0 and not used[r] and likelihood[p] > 0.0:
-            choice[m], used[r] = r, True
-            ratio = likelihood[p] / max(sensor.density, 1e-6 * likelihood[p], 1e-300)
-            evidence[m] = np.log(1.0 - detected[m] + ratio)
+    taken, used = assign_in_order(order[likelihood[order] > 0.0], target, pairs, U, len(free))
+    some = taken >= 0
+    choice = np.where(some, pairs[taken] if len(pairs) else -1, -1)
+    best = likelihood[taken[some]]
+    ratio = best / np.maximum(np.maximum(sensor.density, 1e-6 * best), 1e-300)
+    evidence[some] = np.log(1.0 - detected[some] + ratio)
     watched = detected > 0
     last = absorb(
         estimator.moving, state.sensing, scan.sensor, scan.sensor_state, noise, np.ascontiguousarray(values[free]),

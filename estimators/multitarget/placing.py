@@ -29,6 +29,8 @@ def place_detections(sensor: ScanSensor, scan: Scan, detections: Array, speed: f
     spreads: list[Array] = []
     if model.name == "position" and len(detections):
         places, spreads = list(detections), [scan.noise] * len(detections)
+    elif model.name == "range-bearing" and len(detections) and np.count_nonzero(scan.noise) == 2:
+        places, spreads = _from_polar(detections, scan.noise, scan.sensor_state)
     elif model.locate is not None:
         for z in detections:
             location = model.locate(model, z, scan.noise, scan.sensor_state)
@@ -40,3 +42,18 @@ def place_detections(sensor: ScanSensor, scan: Scan, detections: Array, speed: f
         mean[:, :A], cov[:, :A, :A] = np.stack(places), np.stack(spreads)
     cov[:, range(A, 2 * A), range(A, 2 * A)] = speed**2
     return mean, cov
+
+
+def _from_polar(detections: Array, noise: Array, place: Array) -> tuple[list[Array], list[Array]]:
+    """`locate_polar` in closed form for independent range and bearing, all detections at once."""
+    ranges, bearings, squared = detections[:, 0], detections[:, 1], noise[1, 1]
+    ahead = np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
+    aside = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+    along = ranges**2 * (1 - np.exp(-squared)) ** 2 / 2 + noise[0, 0] * (1 + np.exp(-2 * squared)) / 2
+    across = (ranges**2 + noise[0, 0]) * (1 - np.exp(-2 * squared)) / 2
+    positions = place[:2] + np.exp(-squared / 2) * ranges[:, None] * ahead
+    covs = (
+        along[:, None, None] * ahead[:, :, None] * ahead[:, None, :]
+        + across[:, None, None] * aside[:, :, None] * aside[:, None, :]
+    )
+    return list(positions), list(covs)

@@ -104,6 +104,8 @@ class Pmht:
         gate: D^2 beyond which a detection is no candidate; None: all are. A sensor's own gate comes first.
         correction: covariances get the uncertainty of the assignment, ``K [sum w e e' - e e'] K'``.
         assignment: "independent" (PMHT), or "exclusive": at most one detection per target and scan.
+        adaptive: so many first iterations weigh detections by the prediction, ``N(z; h(x), H P H' + R)``, instead of
+            R alone; 0: PMHT as published.
         initiation: how tracks begin and end; None: the known ones stay, no others come.
         rounds: exchanges of messages of the exclusive assignment.
 
@@ -127,6 +129,7 @@ class Pmht:
     gate: float | None = 25.0
     correction: bool = True
     assignment: str = "independent"
+    adaptive: int = 1
     initiation: Initiation | None = field(default_factory=Initiation)
     rounds: int = 20
 
@@ -148,6 +151,8 @@ class Pmht:
                 f"Pmht: annealing must hold factors >= 1 that never increase; got {self.annealing!r}. "
                 "Use for instance (16, 8, 4, 2)."
             )
+        if not isinstance(self.adaptive, int | np.integer) or self.adaptive < 0:
+            raise ValueError(f"Pmht: adaptive must be an integer >= 0; got {self.adaptive!r}. Give iterations.")
         if not (self.tolerance >= 0 and (self.gate is None or self.gate > 0)):
             raise ValueError(
                 f"Pmht: tolerance must be >= 0 and gate > 0; got {self.tolerance!r}, {self.gate!r}. Use 1e-4, 25."
@@ -311,7 +316,7 @@ class Pmht:
             iterations, self.tolerance, np.asarray(self.annealing[:iterations - 1], dtype=np.float64),
             np.log(np.asarray(shares, dtype=np.float64)), np.asarray(scales, dtype=np.float64),
             self.priors == "updated", self.clutter_prior == "missed",
-            self.rounds if self.assignment == "exclusive" else 0, self.correction,
+            self.rounds if self.assignment == "exclusive" else 0, self.correction, self.adaptive,
         )  # fmt: skip
         return Fit(*found)
 

@@ -15,7 +15,16 @@ from jink.estimators.compiled import entry_kernel, kernel
 from jink.estimators.linalg import wrap_angle
 from jink.estimators.multitarget.small import factorise
 
-__all__ = ["centroids", "densities", "find_pairs", "information_pairs", "noise_tables", "posterior_priors", "weigh"]
+__all__ = [
+    "centroids",
+    "densities",
+    "find_pairs",
+    "information_pairs",
+    "noise_tables",
+    "posterior_priors",
+    "predictive_densities",
+    "weigh",
+]
 
 _LOG_TWO_PI = np.log(2.0 * np.pi)
 
@@ -183,6 +192,54 @@ def densities(
                         informed += share / scale
                 ratio[p] = informed / mixture if mixture > 0.0 else 0.0
                 log_density[p] = log_norm[k] + best + np.log(mixture) if mixture > 0.0 else -np.inf
+
+
+@kernel
+def predictive_densities(
+    detections, sensor, sizes, angular, noise, seen, H, covs, begins, pairs, S, L, HP, residual, log_density, ratio
+):
+    """As `densities`, with the uncertainty of the state: ``g = N(z; h(x), H P H' + R)``.
+
+    PMHT proper knows R only, so a prediction that is off by more than the noise of a good sensor finds no detection.
+
+    Args:
+        detections, sensor, sizes, angular, noise, seen, H, covs: as `find_pairs`.
+        begins, pairs: of `find_pairs`.
+        S, L, HP: scratch; (D, D), (D, D), (D, n).
+        residual, log_density: as `densities`.
+        ratio: 1 everywhere; (P,).
+    """
+    M, K, n = covs.shape[0], covs.shape[1], covs.shape[2]
+    for k in range(K):
+        s, d = sensor[k], sizes[sensor[k]]
+        for m in range(M):
+            low, high = begins[k * M + m], begins[k * M + m + 1]
+            if low == high:
+                continue
+            for a in range(d):
+                for c in range(n):
+                    HP[a, c] = 0.0
+                    for b in range(n):
+                        HP[a, c] += H[m, k, a, b] * covs[m, k, b, c]
+            for a in range(d):
+                for b in range(d):
+                    S[a, b] = noise[k, a, b]
+                    for c in range(n):
+                        S[a, b] += HP[a, c] * H[m, k, b, c]
+            good = factorise(S, d, L)
+            for p in range(low, high):
+                value = -0.5 * d * _LOG_TWO_PI
+                for a in range(d):
+                    v = detections[pairs[p], a] - seen[m, k, a]
+                    residual[p, a] = wrap_angle(v) if angular[s, a] else v
+                for a in range(d):
+                    v = residual[p, a]
+                    for b in range(a):
+                        v -= L[a, b] * HP[b, 0]
+                    HP[a, 0] = v / L[a, a]  # HP is free from here on
+                    value -= 0.5 * HP[a, 0] * HP[a, 0] + np.log(L[a, a])
+                log_density[p] = value if good else -np.inf
+                ratio[p] = 1.0
 
 
 @kernel
