@@ -142,8 +142,8 @@ class Consensus:
         weights: row-stochastic and primitive, row = the node that averages; (N, N); a positive weight is a link.
             `weights.metropolis_weights` makes good ones of a network.
         rounds: L, >= 0; 0: nodes on their own.
-        rule: weight of the novelty, a key of `RULES`: "b" the average over sensing nodes (the patent's), "N" their sum
-            once L is large, "1" the average over all nodes, "safe" the largest weight that counts nothing twice.
+        rule: weight of the novelty, a key of `RULES`: "safe" the largest that counts nothing twice, "b" the average
+            over sensing nodes (the patent's), "N" their sum once L is large, "1" the average over all nodes.
         faults: of nodes and links.
 
     Raises:
@@ -152,7 +152,7 @@ class Consensus:
 
     weights: Array
     rounds: int = 10
-    rule: str = "b"
+    rule: str = "safe"
     faults: Faults = field(default_factory=Faults)
     _whole: Array = field(init=False, repr=False)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,10 +79,12 @@ class DistributedPmht:
         order: one of `ORDERS`.
         window: times that are smoothed together, at least 1.
         exchanged: newest times whose association is iterated and sent anew at each step, 1 to ``window``.
-        iterations: of EM at each step, at least 1.
+        iterations: of EM at each step before the weights that are sent, at least 1. More make a node surer of its own
+            choice before it has heard others.
         annealing: factors on R in the first iterations, decreasing to 1.
         homothetic: shares and factors on R of the target density; None: plain.
         gate: D^2 beyond which a detection is no candidate; None: all are. A sensor's own gate comes first.
+        adaptive: densities of the E-step know how uncertain the state is; else the plain ones of PMHT, R alone.
         correction: what a node sends is worth less where the assignment is uncertain.
 
     Raises:
@@ -98,11 +100,12 @@ class DistributedPmht:
     order: str = "V1"
     window: int = 5
     exchanged: int = 1
-    iterations: int = 5
+    iterations: int = 1
     annealing: tuple[float, ...] = ()
     homothetic: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     gate: float | None = 25.0
     correction: bool = True
+    adaptive: bool = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "node_of", tuple(int(node) for node in self.node_of))
@@ -125,6 +128,17 @@ class DistributedPmht:
             raise ValueError(f"DistributedPmht: gate must be > 0; got {self.gate!r}. Use 25, or None for none.")
         _ = self.moving
 
+    @classmethod
+    def centralised(cls, motion: Motion, sensors: int, **options: Any) -> DistributedPmht:
+        """The reference: one node that has the scans of all sensors, or of the only one, and nobody to talk to.
+
+        Args:
+            motion: how targets move.
+            sensors: number of sensors.
+            options: as of the class.
+        """
+        return cls(motion, Consensus(np.ones((1, 1)), 0), (0,) * sensors, **options)
+
     @cached_property
     def moving(self) -> Moving:
         """Tables of the motion."""
@@ -144,8 +158,8 @@ class DistributedPmht:
         axes = {self.motion.axes, known.mean.shape[1] // 2, *(sensor.model.axes for sensor in every)}
         if len(every) != len(self.node_of) or len(axes) > 1:
             raise ValueError(
-                f"DistributedPmht.start: sensors must be one per entry of node_of, {len(self.node_of)}, in the space of "
-                f"motion and targets; got {len(every)} and dimensions {sorted(axes)}. Fit them."
+                f"DistributedPmht.start: sensors must be one per entry of node_of, {len(self.node_of)}, in the space "
+                f"of motion and targets; got {len(every)} and dimensions {sorted(axes)}. Fit them."
             )
         N, n = self.consensus.nodes, self.motion.size
         mean, cov = state_moments(self.motion, known.mean, known.cov)
@@ -276,7 +290,8 @@ class _Step:
             for turn in range(tracker.iterations):
                 for node in self.scans:
                     path = np.ascontiguousarray(self.means[node, :, self.first :])
-                    self._weigh(node, path, turn, tracker.correction and turn == tracker.iterations - 1)
+                    covs = np.ascontiguousarray(self.covs[node, :, self.first :])
+                    self._weigh(node, path, covs, turn, tracker.correction and turn == tracker.iterations - 1)
                 self._fuse(turn)
         for node in range(len(self.means)):
             self._smooth(node, 0)
@@ -289,15 +304,15 @@ class _Step:
         frames = self.state.frames[self.first :]
         return node_scans(frames, self.state.sensors, tracker.node_of, node, places, tracker.gate)  # type: ignore[arg-type]
 
-    def _weigh(self, node: int, path: Array, turn: int, corrected: bool) -> None:
+    def _weigh(self, node: int, path: Array, covs: Array, turn: int, corrected: bool) -> None:
         tracker, steps = self.tracker, self.tracker.annealing
         shares, scales = ((1.0,), (1.0,)) if tracker.homothetic is None else tracker.homothetic
         own = self.scans[node]
         local_information(
             tracker.moving, self.sensing, own.sensor, own.places, own.noise, own.detections, own.offsets, own.slot,
-            self.begin, path, self.gate_covs[node], own.gates, own.detected, own.density, own.volume,
+            self.begin, path, covs, self.gate_covs[node], own.gates, own.detected, own.density, own.volume,
             steps[turn] if turn < min(len(steps), tracker.iterations - 1) else 1.0, np.log(shares), np.array(scales),
-            corrected, self.dq[node], self.dOmega[node], self.hits[node],
+            tracker.adaptive, corrected, self.dq[node], self.dOmega[node], self.hits[node],
         )  # fmt: skip
 
     def _iterate_alone(self, node: int) -> None:
@@ -309,19 +324,15 @@ class _Step:
             np.ascontiguousarray(self.ahead[node, :, first:][starts]),
             np.ascontiguousarray(self.ahead_cov[node, :, first:][starts]),
         )
-        work = [
-            np.zeros_like(path),
-            np.zeros_like(self.gate_covs[node]),
-            np.zeros_like(path),
-            self.gate_covs[node].copy(),
-        ]
+        covs = self.gate_covs[node].copy()
+        work = [np.zeros_like(path), np.zeros_like(covs), np.zeros_like(path), np.zeros_like(covs)]
         for turn in range(tracker.iterations):
-            self._weigh(node, path, turn, False)
+            self._weigh(node, path, covs, turn, False)
             self.trouble += filter_information(
                 tracker.moving, self.times, *prior, self.begin, self.dq[node], self.dOmega[node], *work
             )
-            smooth_back(tracker.moving, self.times, self.begin, *work, path, np.empty_like(work[1]))
-        self._weigh(node, path, tracker.iterations, tracker.correction)
+            smooth_back(tracker.moving, self.times, self.begin, *work, path, covs)
+        self._weigh(node, path, covs, tracker.iterations, tracker.correction)
 
     def _fuse(self, turn: int) -> None:
         """Forward through the exchanged times with consensus at each, then smooth every node."""

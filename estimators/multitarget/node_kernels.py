@@ -8,12 +8,15 @@ from __future__ import annotations
 import numpy as np
 
 from jink.estimators.compiled import entry_kernel, kernel
+from jink.estimators.linalg import wrap_angle
 from jink.estimators.multitarget.information_kernels import invert
 from jink.estimators.multitarget.pmht_kernels import centroids, densities, find_pairs, noise_tables, weigh
 from jink.estimators.multitarget.seeing import linearise, step_tables
 from jink.estimators.multitarget.small import factorise, sandwich, solve_rows, symmetrise
 
 __all__ = ["filter_information", "local_information", "predict_targets", "smooth_back"]
+
+_LOG_TWO_PI = np.log(2.0 * np.pi)
 
 
 @kernel
@@ -39,10 +42,51 @@ def _novelty(mass, pull, spread, corrected, H, R, d, at, L, rows, dq, dOmega):
                 dOmega[c, b] += mass * rows[a, c] * H[a, b]
 
 
+@kernel
+def _adaptive_densities(detections, sensor, sizes, angular, noise, seen, H, covs, begins, pairs, S, L, HP, v,
+                        residual, log_density, ratio):  # fmt: skip
+    """``ln N(z; h(x), H P H' + R)`` of each candidate, with the covariance P of the iterate; as `densities` else."""
+    M, K, D = seen.shape
+    n = H.shape[3]
+    for k in range(K):
+        s, d = sensor[k], sizes[sensor[k]]
+        for m in range(M):
+            low, high = begins[k * M + m], begins[k * M + m + 1]
+            if low == high:
+                continue
+            for a in range(d):
+                for c in range(n):
+                    HP[a, c] = 0.0
+                    for b in range(n):
+                        HP[a, c] += H[m, k, a, b] * covs[m, k, b, c]
+            for a in range(d):
+                for b in range(d):
+                    S[a, b] = noise[k, a, b]
+                    for c in range(n):
+                        S[a, b] += HP[a, c] * H[m, k, b, c]
+            good = factorise(S, d, L)
+            norm = -0.5 * d * _LOG_TWO_PI
+            for a in range(d):
+                norm -= np.log(L[a, a]) if good else 0.0
+            for p in range(low, high):
+                distance = 0.0
+                for a in range(d):
+                    e = detections[pairs[p], a] - seen[m, k, a]
+                    residual[p, a] = wrap_angle(e) if angular[s, a] else e
+                    v[a] = residual[p, a]
+                    if good:
+                        for b in range(a):
+                            v[a] -= L[a, b] * v[b]
+                        v[a] /= L[a, a]
+                        distance += v[a] * v[a]
+                log_density[p] = norm - 0.5 * distance if good else -np.inf
+                ratio[p] = 1.0
+
+
 @entry_kernel
 def local_information(
-    moving, sensing, sensor, places, noise, detections, offsets, slot, begin, means, covs, gates, detected, density,
-    volume, inflation, log_shares, scales, corrected, dq, dOmega, hits,
+    moving, sensing, sensor, places, noise, detections, offsets, slot, begin, means, covs, gate_covs, gates, detected,
+    density, volume, inflation, log_shares, scales, adaptive, corrected, dq, dOmega, hits,
 ):  # fmt: skip
     """E-step of one node over its scans, and what its centroids say about each target at each time of the window.
 
@@ -55,10 +99,12 @@ def local_information(
         slot: time of the window that each scan belongs to; (K,).
         begin: first time of each target; (M,).
         means, covs: iterate; (M, T, n), (M, T, n, n).
+        gate_covs: covariances for the gates; (M, T, n, n).
         gates, density, volume: D^2, lambda, V of each scan; (K,).
         detected: P_D, 0: out of view; (K, M).
         inflation: tau.
         log_shares, scales: homothetic model; (G,).
+        adaptive: densities have the covariance ``H P H' + R`` instead, P of the iterate.
         corrected: see above.
         dq, dOmega, hits: results, zero where nothing was seen; (M, T, n), (M, T, n, n), (M, T).
 
@@ -70,10 +116,11 @@ def local_information(
     dq[:], dOmega[:], hits[:] = 0.0, 0.0, 0.0
     if K == 0:
         return 0.0, 0
-    at, spreads, first = np.zeros((M, K, n)), np.zeros((M, K, n, n)), np.zeros(M, dtype=np.int64)
+    at, first = np.zeros((M, K, n)), np.zeros(M, dtype=np.int64)
+    spreads, wide = np.zeros((M, K, n, n)), np.zeros((M, K, n, n))
     for m in range(M):
         for k in range(K):
-            at[m, k], spreads[m, k] = means[m, slot[k]], covs[m, slot[k]]
+            at[m, k], spreads[m, k], wide[m, k] = means[m, slot[k]], covs[m, slot[k]], gate_covs[m, slot[k]]
             first[m] += slot[k] < begin[m]
     kin, above, below = np.zeros(places.shape[1]), np.zeros(D), np.zeros(D)
     seen, H = np.zeros((M, K, D)), np.zeros((M, K, D, n))
@@ -81,7 +128,7 @@ def local_information(
     whiten, log_norm = np.zeros((K, D, D)), np.zeros(K)
     noise_tables(sensing.sizes, sensor, noise, whiten, log_norm)
     begins, pairs = find_pairs(
-        detections, offsets, sensor, sensing.sizes, sensing.angular, noise, seen, H, spreads, first, gates
+        detections, offsets, sensor, sensing.sizes, sensing.angular, noise, seen, H, wide, first, gates
     )
     log_target, log_clutter = np.zeros((K, M)), np.zeros(K)
     for k in range(K):
@@ -95,16 +142,22 @@ def local_information(
             log_target[k, m] = np.log(detected[k, m] / norm)
     P, N = pairs.size, detections.shape[0]
     residual, log_density, ratio, weight = np.zeros((P, D)), np.zeros(P), np.zeros(P), np.zeros(P)
-    densities(
-        detections, sensor, sensing.sizes, sensing.angular, whiten, log_norm, seen, begins, pairs, inflation,
-        log_shares, scales, residual, log_density, ratio,
-    )  # fmt: skip
+    L, rows = np.zeros((D, D)), np.zeros((D, n))
+    if adaptive:
+        _adaptive_densities(
+            detections, sensor, sensing.sizes, sensing.angular, noise, seen, H, spreads, begins, pairs,
+            np.zeros((D, D)), L, rows, above, residual, log_density, ratio,
+        )  # fmt: skip
+    else:
+        densities(
+            detections, sensor, sensing.sizes, sensing.angular, whiten, log_norm, seen, begins, pairs, inflation,
+            log_shares, scales, residual, log_density, ratio,
+        )  # fmt: skip
     value, unexplained = weigh(
         offsets, begins, pairs, log_density, log_target, log_clutter, np.zeros(N), np.zeros(N), weight
     )
     mass, own, pull, spread = np.zeros((M, K)), np.zeros((M, K)), np.zeros((M, K, D)), np.zeros((M, K, D, D))
     centroids(begins, pairs, sensing.sizes, sensor, residual, weight, ratio, mass, pull, spread, own)
-    L, rows = np.zeros((D, D)), np.zeros((D, n))
     for m in range(M):
         for k in range(first[m], K):
             hits[m, slot[k]] += own[m, k]
