@@ -8,15 +8,19 @@ from __future__ import annotations
 import numpy as np
 
 from jink.estimators.compiled import entry_kernel, kernel
-from jink.estimators.linalg import wrap_angle
 from jink.estimators.multitarget.information_kernels import invert
-from jink.estimators.multitarget.pmht_kernels import centroids, densities, find_pairs, noise_tables, weigh
+from jink.estimators.multitarget.pmht_kernels import (
+    centroids,
+    densities,
+    find_pairs,
+    noise_tables,
+    predictive_densities,
+    weigh,
+)
 from jink.estimators.multitarget.seeing import linearise, step_tables
 from jink.estimators.multitarget.small import factorise, sandwich, solve_rows, symmetrise
 
 __all__ = ["filter_information", "local_information", "predict_targets", "smooth_back"]
-
-_LOG_TWO_PI = np.log(2.0 * np.pi)
 
 
 @kernel
@@ -40,47 +44,6 @@ def _novelty(mass, pull, spread, corrected, H, R, d, at, L, rows, dq, dOmega):
             dq[c] += rows[a, c] * value
             for b in range(n):
                 dOmega[c, b] += mass * rows[a, c] * H[a, b]
-
-
-@kernel
-def _adaptive_densities(detections, sensor, sizes, angular, noise, seen, H, covs, begins, pairs, S, L, HP, v,
-                        residual, log_density, ratio):  # fmt: skip
-    """``ln N(z; h(x), H P H' + R)`` of each candidate, with the covariance P of the iterate; as `densities` else."""
-    M, K, D = seen.shape
-    n = H.shape[3]
-    for k in range(K):
-        s, d = sensor[k], sizes[sensor[k]]
-        for m in range(M):
-            low, high = begins[k * M + m], begins[k * M + m + 1]
-            if low == high:
-                continue
-            for a in range(d):
-                for c in range(n):
-                    HP[a, c] = 0.0
-                    for b in range(n):
-                        HP[a, c] += H[m, k, a, b] * covs[m, k, b, c]
-            for a in range(d):
-                for b in range(d):
-                    S[a, b] = noise[k, a, b]
-                    for c in range(n):
-                        S[a, b] += HP[a, c] * H[m, k, b, c]
-            good = factorise(S, d, L)
-            norm = -0.5 * d * _LOG_TWO_PI
-            for a in range(d):
-                norm -= np.log(L[a, a]) if good else 0.0
-            for p in range(low, high):
-                distance = 0.0
-                for a in range(d):
-                    e = detections[pairs[p], a] - seen[m, k, a]
-                    residual[p, a] = wrap_angle(e) if angular[s, a] else e
-                    v[a] = residual[p, a]
-                    if good:
-                        for b in range(a):
-                            v[a] -= L[a, b] * v[b]
-                        v[a] /= L[a, a]
-                        distance += v[a] * v[a]
-                log_density[p] = norm - 0.5 * distance if good else -np.inf
-                ratio[p] = 1.0
 
 
 @entry_kernel
@@ -144,9 +107,9 @@ def local_information(
     residual, log_density, ratio, weight = np.zeros((P, D)), np.zeros(P), np.zeros(P), np.zeros(P)
     L, rows = np.zeros((D, D)), np.zeros((D, n))
     if adaptive:
-        _adaptive_densities(
+        predictive_densities(
             detections, sensor, sensing.sizes, sensing.angular, noise, seen, H, spreads, begins, pairs,
-            np.zeros((D, D)), L, rows, above, residual, log_density, ratio,
+            np.zeros((D, D)), L, rows, residual, log_density, ratio,
         )  # fmt: skip
     else:
         densities(
