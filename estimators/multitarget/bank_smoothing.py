@@ -52,7 +52,7 @@ def smooth_bank(
         chain: mode probabilities after that step given those before it, row = from; (K, J, J).
         prior_mean, prior_cov, prior_probs: prediction of each mode at scan ``begin``; (J, n), (J, n, n), (J,).
         begin, sensor, sizes, noise, H, mass, pull, at, spread, corrected: as `smooth_target`.
-        small, rows, vectors, squares, mixed_mean, mixed_cov, log_probs: scratch; (D, D), (2, D, n), (6, max(n, D)),
+        small, rows, vectors, squares, mixed_mean, mixed_cov, log_probs: scratch; (D, D), (3, D, n), (6, max(n, D)),
             (4, n, n), (2, J, n), (2, J, n, n), (J,).
         jm, jP, probs: predictions by mode and their probabilities; (K, J, n), (K, J, n, n), (K, J).
         pm, pP, fm, fP, sm, sP: predicted, filtered, smoothed moments over all modes; (K, n), (K, n, n).

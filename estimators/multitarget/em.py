@@ -96,7 +96,7 @@ def fit_window(
     residual, log_density, ratio, weight = np.zeros((P, D)), np.zeros(P), np.zeros(P), np.zeros(P)
     message, peak, total = np.zeros(P), np.zeros(N), np.zeros(N)
     mass, hits, pull, spread = np.zeros((M, K)), np.zeros((M, K)), np.zeros((M, K, D)), np.zeros((M, K, D, D))
-    small, rows, vectors = np.zeros((D, D)), np.zeros((2, D, n)), np.zeros((6, wide))
+    small, rows, vectors = np.zeros((D, D)), np.zeros((3, D, n)), np.zeros((6, wide))
     squares, at, second = np.zeros((4, n, n)), np.zeros((M, K, n)), np.zeros((D, D))
     mixed_mean, mixed_cov, log_probs = np.zeros((2, J, n)), np.zeros((2, J, n, n)), np.zeros(J)
     jm, jP, probs = np.zeros((M, K, J, n)), np.zeros((M, K, J, n, n)), np.ones((M, K, J))

@@ -89,6 +89,8 @@ class Pmht:
     others; E-step weights with the smoothed states, M-step one smoother per target through its centroids, over a
     window that slides with the scans. The window starts from the filter's prediction of its first scan, so no
     detection counts twice. Several modes make the M-step an interacting-multiple-model filter and smoother.
+    By default weights know that a target gives one detection at most and that a prediction is uncertain;
+    ``assignment="independent", adaptive=0, correction=False`` is PMHT as published.
 
     Args:
         motion: how targets move; several linear ones with the same state: modes.
@@ -103,7 +105,8 @@ class Pmht:
         homothetic: shares rho_g, which sum to 1, and factors kappa_g^2 on R of the target density; None: plain.
         gate: D^2 beyond which a detection is no candidate; None: all are. A sensor's own gate comes first.
         correction: covariances get the uncertainty of the assignment, ``K [sum w e e' - e e'] K'``.
-        assignment: "independent" (PMHT), or "exclusive": at most one detection per target and scan.
+        assignment: "exclusive": at most one detection per target and scan; or "independent": PMHT as published, in
+            which close targets share their detections and merge.
         adaptive: so many first iterations weigh detections by the prediction, ``N(z; h(x), H P H' + R)``, instead of
             R alone; 0: PMHT as published.
         initiation: how tracks begin and end; None: the known ones stay, no others come.
@@ -128,7 +131,7 @@ class Pmht:
     homothetic: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     gate: float | None = 25.0
     correction: bool = True
-    assignment: str = "independent"
+    assignment: str = "exclusive"
     adaptive: int = 1
     initiation: Initiation | None = field(default_factory=Initiation)
     rounds: int = 20

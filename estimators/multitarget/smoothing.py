@@ -8,7 +8,7 @@ which is the information update ``Omega + dOmega, q + dq`` and, for mass 1, the 
 Bryson-Frazier), ``B = I - mass K H``:
 
     l = F' l-(k + 1),  L = F' L-(k + 1) F,   x_s = x + P l,  P_s = P - P L P,
-    l- = B' l + H' S^-1 e,   L- = B' L B + mass H' S^-1 H.
+    l- = B' l + H' S^-1 e,   L- = B' L B + mass H' S^-1 H   (see `_backward_step` for corrected covariances).
 
 Smoothed process noise is ``Q l-``, so ``ln p(x(1:K))`` needs no inverse of Q either: ``-1/2 (l-' P- l-)(1) - 1/2
 sum_k (l-' Q l-)(k)`` plus a constant. Source: Rauch, Tung, Striebel (1965); Bierman (1973). Differs: none.
@@ -100,28 +100,42 @@ def centroid_update(x, P, H, R, d, mass, pull, at, spread, corrected, L, gain, H
 
 
 @inner_kernel
-def _backward_step(x, P, H, R, d, mass, pull, at, L, gain, HP, e, lam, Lam, B, product, new):
-    """Adjoints before the update from those after it, in place."""
+def _backward_step(x, P, H, R, d, mass, pull, at, spread, corrected, L, rows, e, lam, Lam, B, product, new):
+    """Adjoints before the update from those after it, in place; ``rows`` (3, D, n) is scratch.
+
+    ``W = mass S^-1``, less ``S^-1 spread S^-1`` where the filter was corrected: ``B = I - P H' W H`` takes P- to P in
+    both cases, and the recursion is the RTS smoother of the filter as it ran.
+    """
     n = x.size
-    if not mass > 0.0:
+    HP, solved, WH = rows[1], rows[0], rows[2]
+    if not mass > 0.0 or not centroid_gain(x, P, H, R, d, mass, pull, at, L, solved, HP, e):
         return
-    if not centroid_gain(x, P, H, R, d, mass, pull, at, L, gain, HP, e):
-        return
+    for a in range(d):
+        for c in range(n):
+            solved[a, c] = H[a, c]
+    solve_rows(L, d, solved, n)  # S^-1 H
+    for a in range(d):
+        for c in range(n):
+            WH[a, c] = 0.0
+            if corrected:
+                for b in range(d):
+                    WH[a, c] -= spread[a, b] * solved[b, c]
+    if corrected:
+        solve_rows(L, d, WH, n)
+    for a in range(d):
+        for c in range(n):
+            WH[a, c] += mass * solved[a, c]
     for a in range(n):
         for c in range(n):
             B[a, c] = 1.0 if a == c else 0.0
             for b in range(d):
-                B[a, c] -= mass * gain[b, a] * H[b, c]
-    for a in range(d):
-        for c in range(n):
-            HP[a, c] = H[a, c]
-    solve_rows(L, d, HP, n)  # S^-1 H
+                B[a, c] -= HP[b, a] * WH[b, c]
     for c in range(n):
         total = 0.0
         for a in range(n):
             total += B[a, c] * lam[a]
         for a in range(d):
-            total += HP[a, c] * e[a]
+            total += solved[a, c] * e[a]
         new[c] = total
     for c in range(n):
         lam[c] = new[c]
@@ -137,7 +151,7 @@ def _backward_step(x, P, H, R, d, mass, pull, at, L, gain, HP, e, lam, Lam, B, p
             for b in range(n):
                 total += B[b, a] * product[b, c]
             for b in range(d):
-                total += mass * H[b, a] * HP[b, c]
+                total += H[b, a] * WH[b, c]
             Lam[a, c] = Lam[c, a] = total
 
 
@@ -154,7 +168,7 @@ def smooth_target(
         prior_mean, prior_cov: prediction at scan ``begin``; (n,), (n, n).
         sensor, sizes, noise: (K,), (S,), (K, D, D).
         H, mass, pull, at, spread, corrected: as `centroid_update`, per scan; (K, D, n), (K,), (K, D), (K, n), ...
-        small, rows, vectors, squares: scratch; (D, D), (2, D, n), (6, max(n, D)), (4, n, n).
+        small, rows, vectors, squares: scratch; (D, D), (3, D, n), (6, max(n, D)), (4, n, n).
         pm, pP, fm, fP, sm, sP: predicted, filtered, smoothed means (K, n) and covariances (K, n, n).
 
     Returns:
@@ -226,8 +240,8 @@ def smooth_target(
             for b in range(n):
                 sP[k, a, b] = fP[k, a, b] - extra[a, b]
         _backward_step(
-            pm[k], pP[k], H[k], noise[k], sizes[sensor[k]], mass[k], pull[k], at[k],
-            L, gain, HP, e, lam, Lam, B, product, new,
+            pm[k], pP[k], H[k], noise[k], sizes[sensor[k]], mass[k], pull[k], at[k], spread[k], corrected,
+            L, rows, e, lam, Lam, B, product, new,
         )  # fmt: skip
         for a in range(n):
             for b in range(n):
