@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jink.estimators.compiled import inner_kernel, kernel
+from jink.estimators.compiled import inner_kernel
 from jink.estimators.multitarget.small import factorise, sandwich, solve_rows, symmetrise
 from jink.estimators.multitarget.smoothing import centroid_update
 
@@ -40,7 +40,7 @@ def _merge(probs, means, covs, mean, cov):
                 cov[a, b] += probs[j] * (covs[j, a, b] + (means[j, a] - mean[a]) * (means[j, b] - mean[b]))
 
 
-@kernel
+@inner_kernel
 def smooth_bank(
     F, Q, chain, prior_mean, prior_cov, prior_probs, begin, sensor, sizes, noise, H, mass, pull, at, spread, corrected,
     small, rows, vectors, squares, mixed_mean, mixed_cov, log_probs, jm, jP, probs, pm, pP, fm, fP, sm, sP,

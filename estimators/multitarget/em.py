@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jink.estimators.compiled import entry_kernel, kernel
+from jink.estimators.compiled import entry_kernel, inner_kernel
 from jink.estimators.multitarget.bank_smoothing import _merge, _mix, smooth_bank
 from jink.estimators.multitarget.exclusive import exclude
 from jink.estimators.multitarget.pmht_kernels import (
@@ -24,7 +24,7 @@ from jink.estimators.multitarget.smoothing import smooth_target
 __all__ = ["fit_window", "foresee", "score_newest"]
 
 
-@kernel
+@inner_kernel
 def _set_priors(detected, density, volume, missed_rule, log_target, log_clutter):
     """``pi_m = P_Dm / (c + sum P_D)``, ``pi_0 = c / (c + sum P_D)``; c = lambda V, times 1 - P_D by the other rule."""
     K, M = detected.shape

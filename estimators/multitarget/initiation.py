@@ -233,7 +233,7 @@ def _begin(estimator: Pmht, tentative: Tentative, sensor, scan: Scan, free: Ints
     new = Tentative(
         np.repeat(state_mean[:, None], J, axis=1),
         np.repeat(state_cov[:, None], J, axis=1),
-        np.tile(estimator._markov.stationary(), (count, 1)),
+        np.tile(estimator._long_run, (count, 1)),
         np.zeros(count),
         np.ones(count, dtype=np.int64),
         np.ones(count, dtype=np.int64),

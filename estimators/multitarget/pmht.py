@@ -195,6 +195,10 @@ class Pmht:
             return MarkovChain.from_sojourns([10.0] * count) if count > 1 else MarkovChain.per_step([[1.0]])
         return self.chain
 
+    @cached_property
+    def _long_run(self) -> Array:
+        return self._markov.stationary()
+
     def _chain_at(self, dt: float) -> Array:
         return self._markov.at(dt) if dt > 0 else np.eye(len(self.modes))
 
@@ -225,7 +229,7 @@ class Pmht:
         if known is not None:
             mean, cov = state_moments(first, known.mean, known.cov)
             M = len(mean)
-            probs = np.tile(self._markov.stationary(), (M, 1))
+            probs = np.tile(self._long_run, (M, 1))
             last = np.repeat(mean[:, None], J, axis=1), np.repeat(cov[:, None], J, axis=1), probs
             tracks = fresh_tracks(np.arange(1, M + 1), 0, last, np.full(M, time))
             next_id = M + 1

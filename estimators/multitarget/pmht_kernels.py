@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jink.estimators.compiled import entry_kernel, kernel
+from jink.estimators.compiled import entry_kernel, inner_kernel, kernel
 from jink.estimators.linalg import wrap_angle
 from jink.estimators.multitarget.small import factorise
 
@@ -194,7 +194,7 @@ def densities(
                 log_density[p] = log_norm[k] + best + np.log(mixture) if mixture > 0.0 else -np.inf
 
 
-@kernel
+@inner_kernel
 def predictive_densities(
     detections, sensor, sizes, angular, noise, seen, H, covs, begins, pairs, S, L, HP, residual, log_density, ratio
 ):
@@ -368,7 +368,7 @@ def information_pairs(mass, pull, H, whiten, means, begin, weighted, dq, domega)
                             domega[m, k, c, e] += mass[m, k] * weighted[a, c] * weighted[a, e]
 
 
-@kernel
+@inner_kernel
 def posterior_priors(offsets, begins, weight, log_target, log_volume, log_clutter):
     """Priors of the next iteration from the weights: ``pi_m(t) = sum_r w_mr / n(t)``; empty scans keep theirs.
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from jink.estimators.compiled import entry_kernel, kernel
+from jink.estimators.compiled import entry_kernel, inner_kernel
 
 __all__ = ["assign_in_order", "score_tracks"]
 
 
-@kernel
+@inner_kernel
 def score_tracks(begins, pairs, detected, density, explained, likelihood, score):
     """Log-likelihood ratio of one scan with and without each track.
 

@@ -58,7 +58,7 @@ def linearise_one(moving, sensing, s, place, x, kin, above, below, seen, H):
             H[a, c] = (wrap_angle(difference) if sensing.angular[s, a] else difference) / (2.0 * step)
 
 
-@kernel
+@inner_kernel
 def linearise(moving, sensing, sensor, places, means, begin, kin, above, below, seen, H):
     """`linearise_one` for every target from its first scan on.
 
@@ -104,7 +104,7 @@ def _process_noise(moving, j, x, dt, above, below, Q):
             x[c] = centre
 
 
-@kernel
+@inner_kernel
 def step_tables(moving, j, x, dt, above, below, moved, F, Q):
     """``moved = f(x)`` (n,), its Jacobian ``F`` (n, n) and the process noise ``Q`` (n, n) of mode ``j`` over ``dt``.
 
@@ -141,7 +141,7 @@ def step_tables(moving, j, x, dt, above, below, moved, F, Q):
     _process_noise(moving, j, x, dt, above, below, Q)
 
 
-@kernel
+@inner_kernel
 def move_tables(moving, times, origin, scratch, F, Q):
     """F and Q of every mode for the step that ends at each scan; linear motions only.
 

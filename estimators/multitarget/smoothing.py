@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jink.estimators.compiled import inner_kernel, kernel
+from jink.estimators.compiled import inner_kernel
 from jink.estimators.multitarget.seeing import step_tables
 from jink.estimators.multitarget.small import factorise, sandwich, solve_rows, symmetrise
 
@@ -48,7 +48,7 @@ def centroid_gain(x, P, H, R, d, mass, pull, at, L, gain, HP, e):
     return good
 
 
-@kernel
+@inner_kernel
 def centroid_update(x, P, H, R, d, mass, pull, at, spread, corrected, L, gain, HP, e, x_out, P_out):
     """Update of a prediction by a centroid.
 
@@ -155,7 +155,7 @@ def _backward_step(x, P, H, R, d, mass, pull, at, spread, corrected, L, rows, e,
             Lam[a, c] = Lam[c, a] = total
 
 
-@kernel
+@inner_kernel
 def smooth_target(
     moving, times, F, Q, prior_mean, prior_cov, begin, sensor, sizes, noise, H, mass, pull, at, spread, corrected,
     small, rows, vectors, squares, pm, pP, fm, fP, sm, sP,
