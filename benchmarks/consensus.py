@@ -47,8 +47,6 @@ PUBLISHED = {
     "1": (98.2, 88.6, 86.5, 84.4, 83.0),
 }
 CENTRE = 34.4
-WIDE = ((0.5, 0.3, 0.2), (1.0, 4.0, 16.0))
-"""Homothetic shares and factors: plain PMHT loses targets that start or turn more than a few sigma_r off."""
 CUTOFF = 300.0
 STEPS, DT = 50, 2.0
 A = np.kron(np.eye(2), [[1.0, DT], [0.0, 1.0]])
@@ -166,17 +164,17 @@ def tracked_table(runs: int, console: Console) -> None:
     scene = three_targets()
     assert scene.network is not None
     weights = metropolis_weights(scene.network)
-    motion = constant_velocity(2, acceleration_density=30.0)
+    motion = constant_velocity(2, acceleration_density=60.0)
     sensing = scene.network.sensing
     network = Consensus(weights, 10, "safe")
-    alone = Pmht(motion, initiation=None, homothetic=WIDE)
+    alone = Pmht(motion, initiation=None)
     v1 = DistributedPmht(motion, network, sensing)
     v2 = replace(v1, order="V2", iterations=3)
     lossy = replace(network, faults=Faults(message_loss=0.3))
     wounded = replace(network, faults=Faults(dead=((sensing[1], 100.0, 300.0),)))
     trackers = {
-        "centralised": DistributedPmht.centralised(motion, len(sensing)),
-        "centralised, homothetic": alone,
+        "centralised": alone,
+        "centralised, 3 times anew": DistributedPmht.centralised(motion, len(sensing), exchanged=3, iterations=3),
         **{f"one sensor, node {node}": DistributedPmht.centralised(motion, len(sensing)) for node in sensing},
         "V1, b": replace(v1, consensus=replace(network, rule="b")),
         "V1, N": replace(v1, consensus=replace(network, rule="N")),
