@@ -114,6 +114,36 @@ def test_in_clutter_the_fused_iterations_of_a_complete_network_are_those_of_the_
         np.testing.assert_allclose(getattr(found, name), whole, atol=1e-8)
 
 
+@pytest.mark.parametrize("adaptive", [True, False])
+def test_iterations_of_one_node_are_those_of_plain_em(adaptive):
+    """One time, two targets, four sensors in clutter, against loops over detections; a V1 pass ends with an E-step."""
+    scans, known = linear_scans(6, steps=1, clutter=3.0, detection=0.8)
+    H = np.hstack([np.eye(2), np.zeros((2, 2))])
+    x, P = known.mean.copy(), known.cov.copy()
+    for _ in range(3):
+        Omega = [np.linalg.inv(one) for one in known.cov]
+        q = [np.linalg.solve(one, mean) for one, mean in zip(known.cov, known.mean, strict=True)]
+        for scan in scans:
+            W, density = np.linalg.inv(scan.noise), 3.0 / 160_000.0
+            for z in scan.detections:
+                like = []
+                for mean, cov in zip(x, P, strict=True):
+                    S = scan.noise + H @ cov @ H.T if adaptive else scan.noise
+                    e = z - H @ mean
+                    like.append(0.8 * np.exp(-0.5 * e @ np.linalg.solve(S, e)) / np.sqrt(np.linalg.det(2 * np.pi * S)))
+                for m in range(2):
+                    w = like[m] / (density + sum(like))
+                    Omega[m], q[m] = Omega[m] + w * H.T @ W @ H, q[m] + w * H.T @ W @ z
+        P = np.array([np.linalg.inv(one) for one in Omega])
+        x = np.array([cov @ one for cov, one in zip(P, q, strict=True)])
+    options = {"gate": None, "correction": False, "adaptive": adaptive}
+    for order, iterations in (("V1", 2), ("V2", 3)):
+        tracker = DistributedPmht.centralised(MOTION, 4, order=order, iterations=iterations, **options)
+        found = tracker.run(scans, known)
+        np.testing.assert_allclose(found.position[0, :, 0], x[:, :2], rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(found.covariance[0, :, 0], P, rtol=1e-9, atol=1e-12)
+
+
 def test_smoothing_is_that_of_all_scans_when_the_window_holds_them():
     """One sure target: smoothed path = Rauch-Tung-Striebel, here by least squares over the whole path."""
     scans, known = linear_scans(2, steps=5, targets=1)
@@ -216,6 +246,21 @@ def test_a_node_that_returns_recovers():
     assert spread[9] > 1.8  # 18 s: predicted for 14 s
     assert spread[12] < 1.25  # 24 s, two exchanges later
     assert np.linalg.norm(hurt.position[dead] - truth, axis=-1)[:, 12:].max() < 120
+
+
+def test_what_a_dead_node_would_have_seen_never_counts():
+    """Not even later, when past times are sent anew: other detections at the dead radar, the same bits everywhere."""
+    _, scans, known, _ = run_scene(4, 20.0)
+    network = Consensus(metropolis_weights(NETWORK), 4, faults=Faults(dead=((SENSING[0], 4.0, 12.0),)))
+    tracker = DistributedPmht(MOTION, network, SENSING, exchanged=3)
+    other = Scans.from_arrays(
+        scans.times,
+        [one.detections + 5.0 * (one.sensor == 0 and 4 <= one.time < 12) for one in scans],
+        scans.sensors, sensor=scans.sensor, sensor_states=scans.sensor_states, noise=scans.noise,
+    )  # fmt: skip
+    np.testing.assert_array_equal(tracker.run(other, known).position, tracker.run(scans, known).position)
+    whole = replace(tracker, consensus=replace(network, faults=Faults()))
+    assert (whole.run(other, known).position != whole.run(scans, known).position).any()
 
 
 def test_silence_is_survived():
