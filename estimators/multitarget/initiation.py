@@ -9,7 +9,7 @@ track and both together own no more than one target's detections.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,10 @@ from jink.estimators.multitarget.absorbing import absorb
 from jink.estimators.multitarget.em import foresee, score_newest
 from jink.estimators.multitarget.placing import place_detections
 from jink.estimators.multitarget.results import Newest, kinematic_moments
+from jink.estimators.multitarget.scan_sensor import ScanSensor
 from jink.estimators.multitarget.scans import Scan
 from jink.estimators.multitarget.scoring import assign_in_order
-from jink.estimators.multitarget.tracked import fresh_tracks, join, keep, state_moments
+from jink.estimators.multitarget.tracked import TrackSet, fresh_tracks, join, keep, state_moments
 
 if TYPE_CHECKING:
     from jink.estimators.multitarget.pmht import Pmht, PmhtState
@@ -89,6 +90,11 @@ def no_tentatives(modes: int, n: int) -> Tentative:
     return Tentative(np.zeros((0, modes, n)), np.zeros((0, modes, n, n)), np.zeros((0, modes)), np.zeros(0), none, none)
 
 
+def _some(tentative: Tentative, which: NDArray[Any]) -> Tentative:
+    parts: list[Any] = [part[which] for part in tentative]
+    return Tentative(*parts)
+
+
 def initiate(
     estimator: Pmht, state: PmhtState, scan: Scan, ahead: tuple[Array, ...], newest: Newest
 ) -> tuple[PmhtState, Ints, Ints]:
@@ -124,11 +130,11 @@ def initiate(
             np.full(begun.size, scan.time),
         )  # fmt: skip
         state = state._replace(tracks=join(state.tracks, fresh), next_id=state.next_id + begun.size)
-    kept = Tentative(*(part[~ripe & ~stale] for part in tentative))
+    kept = _some(tentative, ~ripe & ~stale)
     kept = _begin(estimator, kept, sensor, scan, free)
     if len(kept.age) > rules.most:
         best = np.sort(np.argsort(-kept.evidence, kind="stable")[: rules.most])
-        kept = Tentative(*(part[best] for part in kept))
+        kept = _some(kept, best)
     return state._replace(tentative=kept), ended, begun
 
 
@@ -154,7 +160,7 @@ def _end(
     return state._replace(tracks=keep(tracks, ~gone)), ended
 
 
-def _on_top(estimator: Pmht, tracks) -> NDArray[np.bool_]:  # type: ignore[no-untyped-def]
+def _on_top(estimator: Pmht, tracks: TrackSet) -> NDArray[np.bool_]:
     """Which tracks sit on an older one, position and velocity alike, and share one target's detections with it."""
     M = len(tracks.ids)
     twin = np.zeros(M, dtype=bool)
@@ -211,7 +217,9 @@ def _extend(estimator: Pmht, state: PmhtState, scan: Scan, values: Array, free: 
         choice, jm, jP, probs,
     )  # fmt: skip
     extended = Tentative(
-        *last,
+        last[0],
+        last[1],
+        last[2],
         tentative.evidence + np.where(watched, evidence, 0.0),
         np.where(watched, ((tentative.history << 1) | (choice >= 0)) & ((1 << 60) - 1), tentative.history),
         tentative.age + watched,
@@ -219,7 +227,7 @@ def _extend(estimator: Pmht, state: PmhtState, scan: Scan, values: Array, free: 
     return extended, free[~used]
 
 
-def _begin(estimator: Pmht, tentative: Tentative, sensor, scan: Scan, free: Ints) -> Tentative:  # type: ignore[no-untyped-def]
+def _begin(estimator: Pmht, tentative: Tentative, sensor: ScanSensor, scan: Scan, free: Ints) -> Tentative:
     """New tentative tracks at the free detections that locate a target."""
     rules = estimator.initiation
     if rules is None or not free.size:
@@ -238,7 +246,8 @@ def _begin(estimator: Pmht, tentative: Tentative, sensor, scan: Scan, free: Ints
         np.ones(count, dtype=np.int64),
         np.ones(count, dtype=np.int64),
     )
-    return Tentative(*(np.concatenate(parts) for parts in zip(tentative, new, strict=True)))
+    joined: list[Any] = [np.concatenate(parts) for parts in zip(tentative, new, strict=True)]
+    return Tentative(*joined)
 
 
 def state_time(state: PmhtState) -> float:

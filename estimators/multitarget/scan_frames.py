@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -54,7 +55,8 @@ def scans_from_frame(frame: pd.DataFrame, sensors: ScanSensor | Mapping[str, Sca
     times, owner, found, places, noises = [], [], [], [], []
     axes = next(iter(named.values())).model.axes
     states = _columns(frame, [f"sensor_{v}{axis}" for v in ("", "v") for axis in AXES[:axes]], 0.0)
-    for (time, name), rows in groups.items():
+    for key, rows in groups.items():
+        time, name = cast("tuple[float, str]", key)
         sensor = named[name]
         labels = [label.replace(" ", "_") for label in sensor.model.labels]
         missing = [label for label in labels if label not in frame.columns]
@@ -90,5 +92,4 @@ def _columns(frame: pd.DataFrame, names: list[str], missing: float) -> Array:
 
 def _noise(sensor: ScanSensor, sigmas: Array) -> Array:
     good = sigmas[np.isfinite(sigmas).all(axis=1) & (sigmas > 0).all(axis=1)]
-    own = np.asarray(sensor.noise)
-    return np.diag(np.mean(good**2, axis=0)) if len(good) else own
+    return np.diag(np.mean(good**2, axis=0)) if len(good) else sensor.noise

@@ -40,7 +40,7 @@ class ScanSensor:
     detection: float = 0.9
     clutter: float = 0.0
     volume: float = 1.0
-    noise: Array | None = None
+    noise: Array = None  # type: ignore[assignment]
     gate: float | None = None
     watches: Callable[[Array, Array], NDArray[np.bool_]] | None = None
     name: str = ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -69,9 +69,9 @@ class Scans:
     detections: Array
     offsets: NDArray[np.int64]
     sensors: tuple[ScanSensor, ...]
-    sensor_states: Array | None = None
-    noise: Array | None = None
-    rows: NDArray[np.int64] | None = None
+    sensor_states: Array = None  # type: ignore[assignment]
+    noise: Array = None  # type: ignore[assignment]
+    rows: NDArray[np.int64] = None  # type: ignore[assignment]
     cleaning: Cleaning = field(default_factory=Cleaning)
 
     def __post_init__(self) -> None:
@@ -228,10 +228,10 @@ class Scans:
             rows.append(starts[k] + where)
             counts.append(len(kept))
             lost += gone
-        wide = None if sensor_states is None else np.asarray(sensor_states, dtype=np.float64)
+        wide: Any = None if sensor_states is None else np.asarray(sensor_states, dtype=np.float64)
         if wide is not None:
             wide = np.array(np.broadcast_to(wide, (K, wide.shape[-1])))[order]
-        own = None if noise is None else np.asarray(noise, dtype=np.float64)
+        own: Any = None if noise is None else np.asarray(noise, dtype=np.float64)
         if own is not None:
             own = np.array(np.broadcast_to(own, (K, *own.shape[-2:])))[order]
         return cls(

@@ -27,7 +27,7 @@ class Moving(NamedTuple):
     transition: Ints  # (J,) addresses
     noise: Ints  # (J,) addresses, 0: integral of the flow
     kinematics: Ints  # (1,) address, 0: components
-    index: Ints  # (2 A,) components that are position and velocity
+    index: Ints  # type: ignore[assignment]  # (2 A,) components that are position and velocity
     params: Array  # (J, widest)
     counts: Ints  # (J,) parameters in use
     diffusion: Array  # (J, n)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,19 +116,21 @@ def empty_tracks(scans: int, modes: int, n: int) -> TrackSet:
 
 def keep(tracks: TrackSet, which: NDArray[np.bool_]) -> TrackSet:
     """Some of the targets."""
-    return tracks if which.all() else TrackSet(*(np.ascontiguousarray(part[which]) for part in tracks))
+    parts: list[Any] = [np.ascontiguousarray(part[which]) for part in tracks]
+    return TrackSet(*parts)
 
 
 def join(first: TrackSet, second: TrackSet) -> TrackSet:
     """Both sets; of the same window."""
-    return TrackSet(*(np.concatenate(parts) for parts in zip(first, second, strict=True)))
+    joined: list[Any] = [np.concatenate(parts) for parts in zip(first, second, strict=True)]
+    return TrackSet(*joined)
 
 
 def fresh_tracks(ids: Ints, scans: int, last: tuple[Array, Array, Array], since: Array) -> TrackSet:
     """Targets that begin at the scan after the K of the window, from what is known of them now by mode."""
     M, J, n = last[0].shape
     empty = empty_tracks(scans, J, n)
-    wide = {name: np.zeros((M, *getattr(empty, name).shape[1:])) for name in TrackSet._fields}
+    wide: dict[str, Any] = {name: np.zeros((M, *getattr(empty, name).shape[1:])) for name in TrackSet._fields}
     return TrackSet(**wide)._replace(
         ids=ids,
         begin=np.full(M, scans, dtype=np.int64),
