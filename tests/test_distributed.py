@@ -208,6 +208,37 @@ def test_a_loop_of_steps_is_a_run():
         assert found.sent_bytes == whole.sent_bytes[k]
 
 
+@pytest.mark.parametrize("exchanged", [1, 3])
+def test_targets_may_come_and_go(exchanged):
+    """A target far from the others, admitted after five times and dismissed after ten, is followed as if alone."""
+    scans, known = linear_scans(7, steps=12, clutter=1.0)
+    network = Consensus(metropolis_weights(line(4)), 3)
+    tracker = DistributedPmht(MOTION, network, range(4), exchanged=exchanged)
+    frames = frames_of(list(scans))
+    first, second = (KnownTracks(known.mean[[m]], known.cov[[m]], 0.0) for m in (0, 1))
+    state = tracker.start(scans.sensors, first)
+    alone = None
+    for k, frame in enumerate(frames):
+        if k == 5:
+            late = KnownTracks(
+                second.mean + np.outer(1.0, [*(state.time * second.mean[0, 2:]), 0.0, 0.0]), second.cov, state.time
+            )
+            state, alone = tracker.admit(state, late), tracker.start(scans.sensors, late)
+            assert state.ids.tolist() == [1, 2]
+        if k == 10:
+            state = tracker.dismiss(state, [1])
+            assert state.ids.tolist() == [2]
+        state, found = tracker.step(state, frame)
+        if k >= 5:
+            alone, lonely = tracker.step(alone, frame)
+            # 60 m apart with sigmas of 3 to 6 m: the other target is no candidate.
+            np.testing.assert_allclose(found.mean[:, -1], lonely.mean[:, 0], rtol=1e-3, atol=0.2)
+    again = tracker.admit(state, KnownTracks(known.mean, known.cov, state.time))
+    assert again.ids.tolist() == [2, 3, 4]
+    with pytest.raises(ValueError, match="admit: known must be of 16"):
+        tracker.admit(state, known)
+
+
 # --- faults ---
 
 

@@ -8,30 +8,23 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from jink.estimators.motion import Motion
 from jink.estimators.multitarget.consensus import Consensus, message_bytes
-from jink.estimators.multitarget.information import Information, consensus_update, from_moments, to_moments
-from jink.estimators.multitarget.network_state import NetworkState, NodeScans, frames_of, node_scans
-from jink.estimators.multitarget.node_kernels import (
-    filter_information,
-    local_information,
-    predict_targets,
-    smooth_back,
-)
-from jink.estimators.multitarget.pmht import KnownTracks, positions_of
+from jink.estimators.multitarget.network_state import NetworkState, Paths, frames_of
+from jink.estimators.multitarget.network_step import NetworkStep
+from jink.estimators.multitarget.node_kernels import predict_targets
+from jink.estimators.multitarget.pmht import KnownTracks
 from jink.estimators.multitarget.scan_sensor import ScanSensor
 from jink.estimators.multitarget.scans import Scan, Scans
-from jink.estimators.multitarget.tables import Moving, make_moving, make_sensing
+from jink.estimators.multitarget.tables import Moving, make_moving
 from jink.estimators.multitarget.tracked import state_moments
 
 __all__ = ["ORDERS", "DistributedPmht", "NetworkFound", "NetworkTracks"]
 
 Array = NDArray[np.float64]
 ORDERS = ("V1", "V2")
-LEAST_HITS = 0.1
-"""Expected detections below which a node's scan says nothing of a target."""
 
 
 class NetworkFound(NamedTuple):
@@ -164,11 +157,47 @@ class DistributedPmht:
         N, n = self.consensus.nodes, self.motion.size
         mean, cov = state_moments(self.motion, known.mean, known.cov)
         M = len(mean)
-        path, spread = np.zeros((N, M, 0, n)), np.zeros((N, M, 0, n, n))
         return NetworkState(
-            every, known.time, 0, np.arange(1, M + 1), np.zeros(0), (), np.zeros(M, dtype=np.int64),
-            path, spread, path, spread, path, spread, np.tile(mean, (N, 1, 1)), np.tile(cov, (N, 1, 1, 1)),
+            every, known.time, 0, M + 1, np.arange(1, M + 1), np.zeros(0), (), np.zeros(M, dtype=np.int64),
+            Paths.empty(N, M, n), np.tile(mean, (N, 1, 1)), np.tile(cov, (N, 1, 1, 1)),
         )  # fmt: skip
+
+    def admit(self, state: NetworkState, known: KnownTracks) -> NetworkState:
+        """New targets that all nodes are told of under the same numbers; they begin at the next scans.
+
+        Args:
+            state: of `start` or the last step.
+            known: the targets; their time is that of the state.
+
+        Raises:
+            ValueError: another time or space dimension.
+        """
+        if known.time != state.time or known.mean.shape[1] != 2 * self.motion.axes:
+            raise ValueError(
+                f"DistributedPmht.admit: known must be of {state.time:g} s and {self.motion.axes} dimensions; got "
+                f"{known.time:g} s and shape {known.mean.shape}. Predict them to the last scan."
+            )
+        mean, cov = state_moments(self.motion, known.mean, known.cov)
+        N, more = self.consensus.nodes, len(mean)
+        return state._replace(
+            ids=np.append(state.ids, state.next_id + np.arange(more)),
+            next_id=state.next_id + more,
+            begin=np.append(state.begin, np.full(more, len(state.times))),
+            last=np.concatenate([state.last, np.tile(mean, (N, 1, 1))], axis=1),
+            last_cov=np.concatenate([state.last_cov, np.tile(cov, (N, 1, 1, 1))], axis=1),
+            paths=state.paths.with_targets(more),
+        )
+
+    def dismiss(self, state: NetworkState, ids: ArrayLike) -> NetworkState:
+        """Targets that all nodes are told to forget, by id; ids that are not there are ignored."""
+        stays = ~np.isin(state.ids, np.asarray(ids))
+        return state._replace(
+            ids=state.ids[stays],
+            begin=state.begin[stays],
+            paths=state.paths.of_targets(stays),
+            last=np.ascontiguousarray(state.last[:, stays]),
+            last_cov=np.ascontiguousarray(state.last_cov[:, stays]),
+        )
 
     def step(self, state: NetworkState, scans: Sequence[Scan]) -> tuple[NetworkState, NetworkFound]:
         """Take in the scans of one time, of as many nodes as have one.
@@ -194,18 +223,19 @@ class DistributedPmht:
         kept = tuple(scan for scan in scans if alive[self.node_of[scan.sensor]])
         state, retired = _slid(state) if len(state.times) == self.window else (state, None)
         state = self._extended(state, time, kept)
-        run = _Step(self, state)
+        run = NetworkStep(self, state)
         run.iterate()
-        messages, exchanges = run.messages, run.exchanges
         length = message_bytes(self.motion.size, len(state.ids), self.consensus.rule, self.consensus.nodes)
         state = state._replace(
-            filtered=run.filtered, filtered_cov=run.filtered_cov, ahead=run.ahead, ahead_cov=run.ahead_cov,
-            means=run.means, covs=run.covs, last=run.filtered[:, :, -1], last_cov=run.filtered_cov[:, :, -1],
+            paths=run.paths,
+            last=np.ascontiguousarray(run.paths.filtered[:, :, -1]),
+            last_cov=np.ascontiguousarray(run.paths.filtered_cov[:, :, -1]),
             steps=state.steps + 1,
-        )  # fmt: skip
-        return state, NetworkFound(
-            time, state.ids, state.last, state.last_cov, retired, messages, messages * length, exchanges, run.trouble
         )
+        return state, NetworkFound(
+            time, state.ids, state.last, state.last_cov, retired, run.messages, run.messages * length, run.exchanges,
+            run.trouble,
+        )  # fmt: skip
 
     def run(self, scans: Scans, known: KnownTracks) -> NetworkTracks:
         """Take in all scans; equal to a loop of `step`.
@@ -226,7 +256,7 @@ class DistributedPmht:
             found.append(one)
             if one.retired is not None:
                 smoothed.append(one.retired)
-        smoothed += [(state.means[:, :, k], state.covs[:, :, k]) for k in range(len(state.times))]
+        smoothed += [(state.paths.means[:, :, k], state.paths.covs[:, :, k]) for k in range(len(state.times))]
         N, M, n, F, A = self.consensus.nodes, len(state.ids), self.motion.size, len(found), self.motion.axes
 
         def kinematics(means: list[Array], covs: list[Array]) -> tuple[Array, Array]:
@@ -251,143 +281,17 @@ class DistributedPmht:
         x, P = predict_targets(
             self.moving, time - state.time, state.last.reshape(-1, n), state.last_cov.reshape(-1, n, n)
         )
-        x, P = x.reshape(N, M, 1, n), P.reshape(N, M, 1, n, n)
-        grown = {
-            name: np.concatenate([getattr(state, name), part], axis=2)
-            for name, part in (
-                ("ahead", x), ("ahead_cov", P), ("filtered", x), ("filtered_cov", P), ("means", x), ("covs", P),
-            )
-        }  # fmt: skip
-        return state._replace(time=time, times=np.append(state.times, time), frames=(*state.frames, scans), **grown)
-
-
-class _Step:
-    """The iterations of one time; arrays of the state are copied and overwritten."""
-
-    def __init__(self, tracker: DistributedPmht, state: NetworkState) -> None:
-        self.tracker, self.state = tracker, state
-        self.ahead, self.ahead_cov = state.ahead.copy(), state.ahead_cov.copy()
-        self.filtered, self.filtered_cov = state.filtered.copy(), state.filtered_cov.copy()
-        self.means, self.covs = state.means.copy(), state.covs.copy()
-        self.messages = self.exchanges = self.trouble = 0
-        self.first = max(len(state.times) - tracker.exchanged, 0)
-        self.begin = np.maximum(state.begin - self.first, 0)
-        self.times = state.times[self.first :]
-        self.sensing = make_sensing(state.sensors)
-        N, M = self.means.shape[:2]
-        self.scans = {node: self._scans_of(node) for node in range(N) if node in tracker.node_of}
-        T, n = len(self.times), self.means.shape[3]
-        self.dq, self.dOmega, self.hits = np.zeros((N, M, T, n)), np.zeros((N, M, T, n, n)), np.zeros((N, M, T))
-        self.gate_covs = np.ascontiguousarray(self.covs[:, :, self.first :])
-
-    def iterate(self) -> None:
-        tracker = self.tracker
-        if tracker.order == "V1":
-            for node in self.scans:
-                self._iterate_alone(node)
-            self._fuse(0)
-        else:
-            for turn in range(tracker.iterations):
-                for node in self.scans:
-                    path = np.ascontiguousarray(self.means[node, :, self.first :])
-                    covs = np.ascontiguousarray(self.covs[node, :, self.first :])
-                    self._weigh(node, path, covs, turn, tracker.correction and turn == tracker.iterations - 1)
-                self._fuse(turn)
-        for node in range(len(self.means)):
-            self._smooth(node, 0)
-
-    def _scans_of(self, node: int) -> NodeScans:
-        tracker, M = self.tracker, self.means.shape[1]
-        path = self.means[node, :, self.first :]
-        T, n = path.shape[1:]
-        places = positions_of(tracker.moving, np.ascontiguousarray(path.reshape(M * T, n))).reshape(M, T, -1)
-        frames = self.state.frames[self.first :]
-        return node_scans(frames, self.state.sensors, tracker.node_of, node, places, tracker.gate)  # type: ignore[arg-type]
-
-    def _weigh(self, node: int, path: Array, covs: Array, turn: int, corrected: bool) -> None:
-        tracker, steps = self.tracker, self.tracker.annealing
-        shares, scales = ((1.0,), (1.0,)) if tracker.homothetic is None else tracker.homothetic
-        own = self.scans[node]
-        local_information(
-            tracker.moving, self.sensing, own.sensor, own.places, own.noise, own.detections, own.offsets, own.slot,
-            self.begin, path, covs, self.gate_covs[node], own.gates, own.detected, own.density, own.volume,
-            steps[turn] if turn < min(len(steps), tracker.iterations - 1) else 1.0, np.log(shares), np.array(scales),
-            tracker.adaptive, corrected, self.dq[node], self.dOmega[node], self.hits[node],
-        )  # fmt: skip
-
-    def _iterate_alone(self, node: int) -> None:
-        """EM of a node over its own scans, from its own fused prediction; the final centroids stay in dq, dOmega."""
-        tracker, first = self.tracker, self.first
-        path = np.ascontiguousarray(self.means[node, :, first:])
-        starts = np.arange(path.shape[0]), np.minimum(self.begin, path.shape[1] - 1)
-        prior = (
-            np.ascontiguousarray(self.ahead[node, :, first:][starts]),
-            np.ascontiguousarray(self.ahead_cov[node, :, first:][starts]),
-        )
-        covs = self.gate_covs[node].copy()
-        work = [np.zeros_like(path), np.zeros_like(covs), np.zeros_like(path), np.zeros_like(covs)]
-        for turn in range(tracker.iterations):
-            self._weigh(node, path, covs, turn, False)
-            self.trouble += filter_information(
-                tracker.moving, self.times, *prior, self.begin, self.dq[node], self.dOmega[node], *work
-            )
-            smooth_back(tracker.moving, self.times, self.begin, *work, path, covs)
-        self._weigh(node, path, covs, tracker.iterations, tracker.correction)
-
-    def _fuse(self, turn: int) -> None:
-        """Forward through the exchanged times with consensus at each, then smooth every node."""
-        tracker, n = self.tracker, self.means.shape[3]
-        consensus, N = tracker.consensus, len(self.means)
-        T, base = len(self.times), self.first
-        for k in range(T):
-            now = np.flatnonzero(self.begin <= k)
-            if k:
-                old = np.flatnonzero(self.begin < k)
-                x, P = predict_targets(
-                    tracker.moving, self.times[k] - self.times[k - 1],
-                    np.ascontiguousarray(self.filtered[:, old, base + k - 1].reshape(-1, n)),
-                    np.ascontiguousarray(self.filtered_cov[:, old, base + k - 1].reshape(-1, n, n)),
-                )  # fmt: skip
-                self.ahead[:, old, base + k] = x.reshape(N, len(old), n)
-                self.ahead_cov[:, old, base + k] = P.reshape(N, len(old), n, n)
-            number = (self.state.steps * tracker.iterations + turn) * tracker.window + k
-            exchange = consensus.exchange(self.state.time, number)
-            self.messages += exchange.messages
-            self.exchanges += 1
-            x, P = self.ahead[:, now, base + k], self.ahead_cov[:, now, base + k]
-            fused = consensus_update(
-                from_moments(x, P),
-                Information(self.dq[:, now, k], self.dOmega[:, now, k]),
-                self.hits[:, now, k] > LEAST_HITS,
-                exchange,
-                consensus.rule,
-            )
-            mean, cov = to_moments(fused)
-            bad = np.isnan(mean).any(axis=-1)
-            self.trouble += int(bad.sum())
-            self.filtered[:, now, base + k] = np.where(bad[..., None], x, mean)
-            self.filtered_cov[:, now, base + k] = np.where(bad[..., None, None], P, cov)
-        if tracker.order == "V2":
-            for node in self.scans:
-                self._smooth(node, base)
-
-    def _smooth(self, node: int, first: int) -> None:
-        """Smoothed path of a node from index ``first`` of the window on."""
-        parts = [
-            np.ascontiguousarray(part[node, :, first:])
-            for part in (self.ahead, self.ahead_cov, self.filtered, self.filtered_cov, self.means, self.covs)
-        ]
-        begin = np.maximum(self.state.begin - first, 0)
-        smooth_back(self.tracker.moving, self.state.times[first:], begin, *parts)
-        self.means[node, :, first:], self.covs[node, :, first:] = parts[4], parts[5]
+        paths = state.paths.later(x.reshape(N, M, n), P.reshape(N, M, n, n))
+        return state._replace(time=time, times=np.append(state.times, time), frames=(*state.frames, scans), paths=paths)
 
 
 def _slid(state: NetworkState) -> tuple[NetworkState, tuple[Array, Array]]:
     """The window without its first time, and the smoothed moments of that time."""
-    names = ("ahead", "ahead_cov", "filtered", "filtered_cov", "means", "covs")
-    cut = {name: np.ascontiguousarray(getattr(state, name)[:, :, 1:]) for name in names}
-    gone = state.means[:, :, 0], state.covs[:, :, 0]
-    return (
-        state._replace(times=state.times[1:], frames=state.frames[1:], begin=np.maximum(state.begin - 1, 0), **cut),
-        gone,
+    gone = state.paths.means[:, :, 0], state.paths.covs[:, :, 0]
+    later = state._replace(
+        times=state.times[1:],
+        frames=state.frames[1:],
+        begin=np.maximum(state.begin - 1, 0),
+        paths=state.paths.without_first(),
     )
+    return later, gone

@@ -51,7 +51,7 @@ def marginals(offered: Candidates, most: int = 1_000_000) -> Array:
     clutter = max(offered.density * np.exp(-top), 1e-12)
     ratio = offered.detected[target] * np.exp(offered.log_density - top) / clutter
     missed = np.maximum(1.0 - offered.detected, 1e-12)
-    joined = coo_array((np.ones(len(pairs)), (target, M + pairs)), shape=(M + offered.count,) * 2)
+    joined = coo_array((np.ones(len(pairs)), (target, M + pairs)), shape=(M + offered.detections,) * 2)
     label = connected_components(joined, directed=False)[1][:M]
     weight = np.zeros(len(pairs))
     for cluster in np.unique(label[np.diff(begins) > 0]):
@@ -66,8 +66,8 @@ def marginals(offered: Candidates, most: int = 1_000_000) -> Array:
             own = np.isin(target, targets)
             found = np.zeros(len(pairs))
             exclude(
-                np.array([0, offered.count]), begins, pairs, np.log(np.maximum(ratio * clutter, 1e-300)),
-                np.ascontiguousarray(missed[None]), np.full(1, clutter), 50, np.zeros(offered.count),
+                np.array([0, offered.detections]), begins, pairs, np.log(np.maximum(ratio * clutter, 1e-300)),
+                np.ascontiguousarray(missed[None]), np.full(1, clutter), 50, np.zeros(offered.detections),
                 np.zeros(len(pairs)), found,
             )  # fmt: skip
             weight[own] = found[own]

@@ -11,10 +11,48 @@ from numpy.typing import NDArray
 from jink.estimators.multitarget.scan_sensor import ScanSensor
 from jink.estimators.multitarget.scans import Scan
 
-__all__ = ["NetworkState", "NodeScans", "frames_of", "node_scans"]
+__all__ = ["NetworkState", "NodeScans", "Paths", "frames_of", "node_scans"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+
+class Paths(NamedTuple):
+    """What N nodes believe of M targets at the T times of the window; n state components."""
+
+    ahead: Array  # predictions; (N, M, T, n)
+    ahead_cov: Array  # (N, M, T, n, n)
+    filtered: Array  # fused
+    filtered_cov: Array
+    means: Array  # smoothed
+    covs: Array
+
+    @classmethod
+    def empty(cls, nodes: int, targets: int, n: int) -> Paths:
+        """A window without times."""
+        path, spread = np.zeros((nodes, targets, 0, n)), np.zeros((nodes, targets, 0, n, n))
+        return cls(path, spread, path, spread, path, spread)
+
+    def later(self, mean: Array, cov: Array) -> Paths:
+        """With one more time, predicted to (N, M, n), (N, M, n, n)."""
+        new = (mean[:, :, None], cov[:, :, None])
+        return Paths(*(np.concatenate([part, new[index % 2]], axis=2) for index, part in enumerate(self)))
+
+    def without_first(self) -> Paths:
+        """Without the oldest time."""
+        return Paths(*(np.ascontiguousarray(part[:, :, 1:]) for part in self))
+
+    def with_targets(self, more: int) -> Paths:
+        """With targets of whom nothing is known yet."""
+        return Paths(*(np.concatenate([part, np.zeros((len(part), more, *part.shape[2:]))], axis=1) for part in self))
+
+    def of_targets(self, which: NDArray[np.bool_]) -> Paths:
+        """Of some of the targets."""
+        return Paths(*(np.ascontiguousarray(part[:, which]) for part in self))
+
+    def copy(self) -> Paths:
+        """Arrays of their own."""
+        return Paths(*(part.copy() for part in self))
 
 
 class NetworkState(NamedTuple):
@@ -23,16 +61,12 @@ class NetworkState(NamedTuple):
     sensors: tuple[ScanSensor, ...]
     time: float  # of the last scans, s
     steps: int
+    next_id: int
     ids: Ints  # (M,)
     times: Array  # of the window, s; (T,)
     frames: tuple[tuple[Scan, ...], ...]  # scans of each time, those of dead nodes left out
     begin: Ints  # first time of each target in the window, T: the next; (M,)
-    ahead: Array  # predictions; (N, M, T, n)
-    ahead_cov: Array
-    filtered: Array  # fused; (N, M, T, n)
-    filtered_cov: Array
-    means: Array  # smoothed; (N, M, T, n)
-    covs: Array
+    paths: Paths
     last: Array  # what the last time left behind; (N, M, n)
     last_cov: Array
 

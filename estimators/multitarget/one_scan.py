@@ -33,7 +33,7 @@ class Candidates(NamedTuple):
     log_density: Array  # ln N(z; h(x), H P H' + R); (P,)
     detected: Array  # P_D, 0: out of view; (M,)
     density: float  # lambda
-    count: int  # N
+    detections: int  # N
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,8 @@ class _Loop(Pmht):
         weight = self.choose(offered) if pairs.size else np.zeros(0)
         trouble = soft_update(sensor.size, window.noise[0], H, begins, residual, weight, means, covs)
         tracks.means[:], tracks.covs[:] = means, covs
-        hits = np.bincount(np.repeat(np.arange(M), np.diff(begins)), weight, minlength=M)[:, None]
+        owner = np.repeat(np.arange(M), np.diff(begins))
+        hits = np.bincount(owner, weight, minlength=M).astype(np.float64)[:, None]
         mass, pull = np.zeros((M, 1)), np.zeros((M, 1, residual.shape[1]))
         ones = np.ones((M, 1, 1))
         return Fit(
