@@ -185,7 +185,8 @@ def tracked_table(runs: int, console: Console) -> None:
         "V1, safe, a sensing node dead 100 s to 300 s": replace(v1, consensus=wounded),
     }
     rows: dict[str, list[tuple[float, ...]]] = {name: [] for name in trackers}
-    for seed in range(runs):
+    # The acceleration density was chosen on seeds 0 to 7, for all trackers alike.
+    for seed in range(100, 100 + runs):
         data = simulate_scene(scene, seed)
         scans, known = scene_scans(data), known_tracks(data, seed)
         times, first = np.unique(data.times, return_index=True)

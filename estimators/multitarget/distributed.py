@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jink.estimators.motion import Motion
 from jink.estimators.multitarget.consensus import Consensus, message_bytes
+from jink.estimators.multitarget.network_results import NetworkFound, NetworkTracks, gather_network
 from jink.estimators.multitarget.network_state import NetworkState, Paths, frames_of
 from jink.estimators.multitarget.network_step import NetworkStep
 from jink.estimators.multitarget.node_kernels import predict_targets
@@ -21,39 +22,10 @@ from jink.estimators.multitarget.scans import Scan, Scans
 from jink.estimators.multitarget.tables import Moving, make_moving
 from jink.estimators.multitarget.tracked import state_moments
 
-__all__ = ["ORDERS", "DistributedPmht", "NetworkFound", "NetworkTracks"]
+__all__ = ["ORDERS", "DistributedPmht"]
 
 Array = NDArray[np.float64]
 ORDERS = ("V1", "V2")
-
-
-class NetworkFound(NamedTuple):
-    """What a step found: N nodes, M targets."""
-
-    time: float
-    ids: NDArray[np.int64]  # (M,)
-    mean: Array  # fused states; (N, M, n)
-    cov: Array  # (N, M, n, n)
-    retired: tuple[Array, Array] | None  # smoothed moments of the time that left the window
-    messages: int  # sent at this time, by all nodes
-    sent_bytes: int
-    exchanges: int  # of L rounds each
-    trouble: int  # updates without a covariance; the prediction stood in
-
-
-class NetworkTracks(NamedTuple):
-    """Tracks at every node: N nodes, M targets, F times, A axes; position then velocity in covariances."""
-
-    times: Array  # distinct times of scans, s; (F,)
-    ids: NDArray[np.int64]  # (M,)
-    position: Array  # fused, as it stood at each time; (N, M, F, A) m
-    velocity: Array
-    covariance: Array  # (N, M, F, 2 A, 2 A)
-    smoothed_position: Array  # by the times that followed within the window
-    smoothed_velocity: Array
-    messages: NDArray[np.int64]  # sent at each time; (F,)
-    sent_bytes: NDArray[np.int64]
-    trouble: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,33 +219,11 @@ class DistributedPmht:
         Returns:
             tracks at every node.
         """
-        from jink.estimators.multitarget.results import kinematic_moments
-
-        state = self.start(scans.sensors, known)
-        found, smoothed = [], []
+        state, found = self.start(scans.sensors, known), []
         for frame in frames_of(list(scans)):
             state, one = self.step(state, frame)
             found.append(one)
-            if one.retired is not None:
-                smoothed.append(one.retired)
-        smoothed += [(state.paths.means[:, :, k], state.paths.covs[:, :, k]) for k in range(len(state.times))]
-        N, M, n, F, A = self.consensus.nodes, len(state.ids), self.motion.size, len(found), self.motion.axes
-
-        def kinematics(means: list[Array], covs: list[Array]) -> tuple[Array, Array]:
-            x = np.array(means).reshape(F, N, M, n).transpose(1, 2, 0, 3)
-            P = np.array(covs).reshape(F, N, M, n, n).transpose(1, 2, 0, 3, 4)
-            kin, spread = kinematic_moments(
-                self.moving, np.ascontiguousarray(x.reshape(-1, n)), np.ascontiguousarray(P.reshape(-1, n, n))
-            )
-            return kin.reshape(N, M, F, 2 * A), spread.reshape(N, M, F, 2 * A, 2 * A)
-
-        kin, cov = kinematics([one.mean for one in found], [one.cov for one in found])
-        late, _ = kinematics([one[0] for one in smoothed], [one[1] for one in smoothed])
-        return NetworkTracks(
-            np.array([one.time for one in found]), state.ids, kin[..., :A], kin[..., A:], cov, late[..., :A],
-            late[..., A:], np.array([one.messages for one in found], dtype=np.int64),
-            np.array([one.sent_bytes for one in found], dtype=np.int64), sum(one.trouble for one in found),
-        )  # fmt: skip
+        return gather_network(self.moving, found, state)
 
     def _extended(self, state: NetworkState, time: float, scans: tuple[Scan, ...]) -> NetworkState:
         """The window with one more time, which every node predicts every target to."""
