@@ -117,6 +117,23 @@ def test_frozen_weights_and_centroids():
     assert not domega[:, 0, 1].any() and not dq[:, 0, 1].any()
 
 
+def test_homothetic_density_and_its_information():
+    z, shares, scales, R, tau = np.array([[0.0], [1.0], [7.0]]), [0.6, 0.3, 0.1], [1.0, 4.0, 16.0], 0.5, 2.0
+    whiten, log_norm = np.full((1, 1, 1), R**-0.5), np.array([-0.5 * np.log(2 * np.pi * R)])
+    residual, log_density, ratio = np.zeros((3, 1)), np.zeros(3), np.zeros(3)
+    densities(
+        z, np.array([0]), np.array([1]), np.zeros((1, 1), bool), whiten, log_norm, np.zeros((1, 1, 1)),
+        np.array([0, 3]), np.arange(3), tau, np.log(shares), np.array(scales), residual, log_density, ratio,
+    )  # fmt: skip
+    parts = np.array([
+        share * np.exp(-0.5 * z[:, 0] ** 2 / (scale * tau * R)) / np.sqrt(2 * np.pi * scale * tau * R)
+        for share, scale in zip(shares, scales, strict=True)
+    ])  # fmt: skip
+    np.testing.assert_allclose(log_density, np.log(parts.sum(0)))
+    np.testing.assert_allclose(ratio, (parts / (np.array(scales)[:, None] * tau)).sum(0) / parts.sum(0))
+    assert ratio[2] < 0.2 * ratio[0]  # far off, only the wide components are left
+
+
 def test_no_clutter_and_no_candidate_is_counted():
     weight = np.zeros(0)
     value, unexplained = weigh(
