@@ -13,6 +13,9 @@ import networkx as nx
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jink.estimators.multitarget import weights
+from jink.estimators.multitarget.weights import second_eigenvalue
+
 __all__ = [
     "CONSENSUS_ROUNDS",
     "CONSENSUS_SENSING",
@@ -109,84 +112,25 @@ class Network:
 
 
 def metropolis_weights(network: Network) -> Array:
-    """Averaging weights every pair of neighbours can agree on alone.
+    """Averaging weights every pair of neighbours can agree on alone; (N, N), row = the node that averages.
 
-    Model: ``pi_ij = 1 / (1 + max(d_i, d_j))`` for a link, ``pi_ii = 1 - sum_j pi_ij``, d = number of neighbours.
-    Doubly stochastic and symmetric; primitive as the network is connected and every ``pi_ii > 0``.
-
-    Args:
-        network: who hears whom.
-    Returns:
-        weights, row = the node that averages; (N, N).
-    Source: Xiao, Boyd (2004). Differs: none.
+    Doubly stochastic, symmetric and primitive; see `jink.estimators.multitarget.weights.metropolis_weights`.
     """
-    linked = network.adjacency
-    degree = linked.sum(axis=1)
-    weights = np.where(linked, 1.0 / (1.0 + np.maximum(degree[:, None], degree[None, :])), 0.0)
-    np.fill_diagonal(weights, 1.0 - weights.sum(axis=1))
-    return weights
+    return weights.metropolis_weights(network.adjacency)
 
 
-def second_eigenvalue(weights: ArrayLike) -> float:
-    """Largest modulus among the eigenvalues but one: L averagings shrink disagreement by its L-th power.
-
-    Args:
-        weights: row-stochastic; (N, N).
-    """
-    moduli = np.sort(np.abs(np.linalg.eigvals(np.asarray(weights, dtype=np.float64))))
-    return float(moduli[-2]) if len(moduli) > 1 else 0.0
-
-
-def check_weights(weights: ArrayLike, network: Network | None = None) -> Array:
+def check_weights(values: ArrayLike, network: Network | None = None) -> Array:
     """Refuse weights with which repeated averaging does not bring all nodes to one value.
 
     Args:
-        weights: row = the node that averages; (N, N).
+        values: row = the node that averages; (N, N).
         network: if given, weights are positive on its links and the diagonal only.
     Returns:
         the weights as float64.
     Raises:
-        ValueError: not square and finite, a negative entry, a row that does not sum to 1 within 1e-9, a pattern that
-            is not primitive, or a weight between nodes that are not linked.
+        ValueError: as `jink.estimators.multitarget.weights.check_weights`.
     """
-    matrix = np.array(weights, dtype=np.float64)
-    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not np.isfinite(matrix).all():
-        raise ValueError(
-            f"check_weights: weights must be finite with shape (N, N); got shape {matrix.shape}. "
-            "Give one row and one column per node."
-        )
-    if (matrix < 0).any() or np.abs(matrix.sum(axis=1) - 1).max(initial=0) > 1e-9:
-        row = int(np.argmax(np.maximum(np.abs(matrix.sum(axis=1) - 1), -matrix.min(axis=1))))
-        raise ValueError(
-            f"check_weights: weights must be >= 0 with rows that sum to 1; got row {row} with sum "
-            f"{matrix[row].sum():.9g}, smallest entry {matrix[row].min():.9g}. Divide each row by its sum."
-        )
-    if not _is_primitive(matrix > 0):
-        raise ValueError(
-            "check_weights: weights must be primitive, some power with no zero at all; got a pattern whose every "
-            "power has zeros. Connect the network, and give each node a weight for itself."
-        )
-    if network is not None:
-        if len(matrix) != len(network):
-            raise ValueError(
-                f"check_weights: weights must have shape ({len(network)}, {len(network)}), one row per node; got "
-                f"{matrix.shape}. Use metropolis_weights(network)."
-            )
-        strange = np.argwhere((matrix > 0) & ~network.adjacency & ~np.eye(len(network), dtype=bool))
-        if strange.size:
-            raise ValueError(
-                f"check_weights: weights must be zero between nodes without a link; got a weight from "
-                f"{strange[0][1]} to {strange[0][0]}. Use metropolis_weights(network)."
-            )
-    return matrix
-
-
-def _is_primitive(pattern: NDArray[np.bool_]) -> bool:
-    """Wielandt: a primitive N x N pattern has no zero in any power from N^2 - 2 N + 2 on."""
-    power, exponent = pattern.astype(np.float64), 1
-    while exponent < len(pattern) ** 2 - 2 * len(pattern) + 2:
-        power, exponent = (power @ power > 0).astype(np.float64), 2 * exponent
-    return bool((power > 0).all())
+    return weights.check_weights(values, None if network is None else network.adjacency)
 
 
 def line(nodes: int, spacing: float = 1000.0, sensing: Sequence[int] | None = None) -> Network:

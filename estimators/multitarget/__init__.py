@@ -1,0 +1,1 @@
+"""Many targets and many sensors: scans of unlabelled detections, association and tracks."""

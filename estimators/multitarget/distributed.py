@@ -1,0 +1,247 @@
+"""`DistributedPmht`: nodes with sensors of their own follow the same targets and talk to their neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from jink.estimators.motion import Motion
+from jink.estimators.multitarget.consensus import Consensus, message_bytes
+from jink.estimators.multitarget.network_results import NetworkFound, NetworkTracks, gather_network
+from jink.estimators.multitarget.network_state import NetworkState, Paths, frames_of
+from jink.estimators.multitarget.network_step import NetworkStep
+from jink.estimators.multitarget.node_kernels import predict_targets
+from jink.estimators.multitarget.pmht import KnownTracks
+from jink.estimators.multitarget.scan_sensor import ScanSensor
+from jink.estimators.multitarget.scans import Scan, Scans
+from jink.estimators.multitarget.tables import Moving, make_moving
+from jink.estimators.multitarget.tracked import state_moments
+
+__all__ = ["ORDERS", "DistributedPmht"]
+
+Array = NDArray[np.float64]
+ORDERS = ("V1", "V2")
+
+
+@dataclass(frozen=True, eq=False)
+class DistributedPmht:
+    """PMHT at every node of a network, joined by consensus on information.
+
+    Model: each node weighs the detections of its own sensors with the states it believes, and makes of the centroids
+    information about each target; consensus with neighbours adds up what all nodes found. "V1", the patent's order:
+    a node iterates by itself, then all fuse once. "V2": nodes fuse in every iteration, so that each weighs its
+    detections with what all know; ``iterations`` times the messages.
+
+    Args:
+        motion: how targets move; one motion.
+        consensus: weights, rounds, rule of the novelty, faults.
+        node_of: node at which each sensor stands; one per sensor of the scans.
+        order: one of `ORDERS`.
+        window: times that are smoothed together, at least 1.
+        exchanged: newest times whose association is iterated and sent anew at each step, 1 to ``window``.
+        iterations: of EM at each step before the weights that are sent, at least 1. More make a node surer of its own
+            choice before it has heard others.
+        annealing: factors on R in the first iterations, decreasing to 1.
+        homothetic: shares and factors on R of the target density; None: plain.
+        gate: D^2 beyond which a detection is no candidate; None: all are. A sensor's own gate comes first.
+        adaptive: densities of the E-step know how uncertain the state is; else the plain ones of PMHT, R alone.
+        correction: what a node sends is worth less where the assignment is uncertain.
+
+    Raises:
+        ValueError: an option out of range, or a node that does not exist.
+
+    Source: CN115508822B S1-S4; Battistelli and others (2015). Differs: information form without division by the
+    weights; V2, the times sent anew and the correction are ours.
+    """
+
+    motion: Motion
+    consensus: Consensus
+    node_of: Sequence[int]
+    order: str = "V1"
+    window: int = 5
+    exchanged: int = 1
+    iterations: int = 1
+    annealing: tuple[float, ...] = ()
+    homothetic: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    gate: float | None = 25.0
+    correction: bool = True
+    adaptive: bool = True
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "node_of", tuple(int(node) for node in self.node_of))
+        if self.order not in ORDERS:
+            raise ValueError(
+                f"DistributedPmht: order must be one of {', '.join(ORDERS)}; got {self.order!r}. Choose one."
+            )
+        for name, most in (("window", np.inf), ("exchanged", self.window), ("iterations", np.inf)):
+            value = getattr(self, name)
+            if not isinstance(value, int | np.integer) or isinstance(value, bool) or not 1 <= value <= most:
+                raise ValueError(
+                    f"DistributedPmht: {name} must be an integer from 1 to {most}; got {value!r}. Give a count."
+                )
+        if not self.node_of or not all(0 <= node < self.consensus.nodes for node in self.node_of):
+            raise ValueError(
+                f"DistributedPmht: node_of must name nodes 0..{self.consensus.nodes - 1}, one per sensor; got "
+                f"{self.node_of}. Use the sensing nodes of the network, in the order of the sensors."
+            )
+        if self.gate is not None and not self.gate > 0:
+            raise ValueError(f"DistributedPmht: gate must be > 0; got {self.gate!r}. Use 25, or None for none.")
+        _ = self.moving
+
+    @classmethod
+    def centralised(cls, motion: Motion, sensors: int, **options: Any) -> DistributedPmht:
+        """The reference: one node that has the scans of all sensors, or of the only one, and nobody to talk to.
+
+        Args:
+            motion: how targets move.
+            sensors: number of sensors.
+            options: as of the class.
+        """
+        return cls(motion, Consensus(np.ones((1, 1)), 0), (0,) * sensors, **options)
+
+    @cached_property
+    def moving(self) -> Moving:
+        """Tables of the motion."""
+        return make_moving((self.motion,))
+
+    def start(self, sensors: ScanSensor | Sequence[ScanSensor], known: KnownTracks) -> NetworkState:
+        """Begin with targets that all nodes know under the same number.
+
+        Args:
+            sensors: those that will scan.
+            known: the targets.
+
+        Raises:
+            ValueError: sensors without a node, or space dimensions that differ.
+        """
+        every = (sensors,) if isinstance(sensors, ScanSensor) else tuple(sensors)
+        axes = {self.motion.axes, known.mean.shape[1] // 2, *(sensor.model.axes for sensor in every)}
+        if len(every) != len(self.node_of) or len(axes) > 1:
+            raise ValueError(
+                f"DistributedPmht.start: sensors must be one per entry of node_of, {len(self.node_of)}, in the space "
+                f"of motion and targets; got {len(every)} and dimensions {sorted(axes)}. Fit them."
+            )
+        N, n = self.consensus.nodes, self.motion.size
+        mean, cov = state_moments(self.motion, known.mean, known.cov)
+        M = len(mean)
+        return NetworkState(
+            every, known.time, 0, M + 1, np.arange(1, M + 1), np.zeros(0), (), np.zeros(M, dtype=np.int64),
+            Paths.empty(N, M, n), np.tile(mean, (N, 1, 1)), np.tile(cov, (N, 1, 1, 1)),
+        )  # fmt: skip
+
+    def admit(self, state: NetworkState, known: KnownTracks) -> NetworkState:
+        """New targets that all nodes are told of under the same numbers; they begin at the next scans.
+
+        Args:
+            state: of `start` or the last step.
+            known: the targets; their time is that of the state.
+
+        Raises:
+            ValueError: another time or space dimension.
+        """
+        if known.time != state.time or known.mean.shape[1] != 2 * self.motion.axes:
+            raise ValueError(
+                f"DistributedPmht.admit: known must be of {state.time:g} s and {self.motion.axes} dimensions; got "
+                f"{known.time:g} s and shape {known.mean.shape}. Predict them to the last scan."
+            )
+        mean, cov = state_moments(self.motion, known.mean, known.cov)
+        N, more = self.consensus.nodes, len(mean)
+        return state._replace(
+            ids=np.append(state.ids, state.next_id + np.arange(more)),
+            next_id=state.next_id + more,
+            begin=np.append(state.begin, np.full(more, len(state.times))),
+            last=np.concatenate([state.last, np.tile(mean, (N, 1, 1))], axis=1),
+            last_cov=np.concatenate([state.last_cov, np.tile(cov, (N, 1, 1, 1))], axis=1),
+            paths=state.paths.with_targets(more),
+        )
+
+    def dismiss(self, state: NetworkState, ids: ArrayLike) -> NetworkState:
+        """Targets that all nodes are told to forget, by id; ids that are not there are ignored."""
+        stays = ~np.isin(state.ids, np.asarray(ids))
+        return state._replace(
+            ids=state.ids[stays],
+            begin=state.begin[stays],
+            paths=state.paths.of_targets(stays),
+            last=np.ascontiguousarray(state.last[:, stays]),
+            last_cov=np.ascontiguousarray(state.last_cov[:, stays]),
+        )
+
+    def step(self, state: NetworkState, scans: Sequence[Scan]) -> tuple[NetworkState, NetworkFound]:
+        """Take in the scans of one time, of as many nodes as have one.
+
+        Args:
+            state: of `start` or the last step.
+            scans: of one time, not older than the last.
+
+        Returns:
+            the new state and what was found.
+
+        Raises:
+            ValueError: scans of several times, or older than the last.
+        """
+        times = {scan.time for scan in scans}
+        if len(times) != 1 or min(times) < state.time:
+            raise ValueError(
+                f"DistributedPmht.step: scans must be of one time, no older than {state.time:g} s; got "
+                f"{sorted(times)}. Group them with frames_of."
+            )
+        time = times.pop()
+        alive = self.consensus.faults.alive(time, self.consensus.nodes)
+        kept = tuple(scan for scan in scans if alive[self.node_of[scan.sensor]])
+        state, retired = _slid(state) if len(state.times) == self.window else (state, None)
+        state = self._extended(state, time, kept)
+        run = NetworkStep(self, state)
+        run.iterate()
+        length = message_bytes(self.motion.size, len(state.ids), self.consensus.rule, self.consensus.nodes)
+        state = state._replace(
+            paths=run.paths,
+            last=np.ascontiguousarray(run.paths.filtered[:, :, -1]),
+            last_cov=np.ascontiguousarray(run.paths.filtered_cov[:, :, -1]),
+            steps=state.steps + 1,
+        )
+        return state, NetworkFound(
+            time, state.ids, state.last, state.last_cov, retired, run.messages, run.messages * length, run.exchanges,
+            run.trouble,
+        )  # fmt: skip
+
+    def run(self, scans: Scans, known: KnownTracks) -> NetworkTracks:
+        """Take in all scans; equal to a loop of `step`.
+
+        Args:
+            scans: in time order; those of one time are taken together.
+            known: the targets; their time is not after the first scan.
+
+        Returns:
+            tracks at every node.
+        """
+        state, found = self.start(scans.sensors, known), []
+        for frame in frames_of(list(scans)):
+            state, one = self.step(state, frame)
+            found.append(one)
+        return gather_network(self.moving, found, state)
+
+    def _extended(self, state: NetworkState, time: float, scans: tuple[Scan, ...]) -> NetworkState:
+        """The window with one more time, which every node predicts every target to."""
+        N, M, n = state.last.shape
+        x, P = predict_targets(
+            self.moving, time - state.time, state.last.reshape(-1, n), state.last_cov.reshape(-1, n, n)
+        )
+        paths = state.paths.later(x.reshape(N, M, n), P.reshape(N, M, n, n))
+        return state._replace(time=time, times=np.append(state.times, time), frames=(*state.frames, scans), paths=paths)
+
+
+def _slid(state: NetworkState) -> tuple[NetworkState, tuple[Array, Array]]:
+    """The window without its first time, and the smoothed moments of that time."""
+    gone = state.paths.means[:, :, 0], state.paths.covs[:, :, 0]
+    later = state._replace(
+        times=state.times[1:],
+        frames=state.frames[1:],
+        begin=np.maximum(state.begin - 1, 0),
+        paths=state.paths.without_first(),
+    )
+    return later, gone
