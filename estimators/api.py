@@ -389,7 +389,7 @@ class BankEstimator:
 
         Args:
             state: from `start`, `step` or `states`; B tracks.
-            horizons: seconds ahead, (H,); >= 0, not decreasing.
+            horizons: seconds ahead, (H,) or (B, H); >= 0, not decreasing.
 
         Returns:
             weights (B, H, M, M), means (B, H, M, M, A) in m, covariances (B, H, M, M, A, A) in m^2.
@@ -399,10 +399,11 @@ class BankEstimator:
         """
         self._check_state(state, "extrapolate")
         ahead = np.atleast_1d(np.asarray(horizons, dtype=np.float64))
-        if ahead.ndim != 1 or not ahead.size or not np.isfinite(ahead).all() or (np.diff(ahead, prepend=0.0) < 0).any():
+        fits = ahead.ndim == 1 or (ahead.ndim == 2 and len(ahead) == len(state.time))
+        if not (fits and ahead.size and np.isfinite(ahead).all() and (np.diff(ahead, prepend=0.0) >= 0).all()):
             raise ValueError(
-                f"extrapolate: horizons must be seconds >= 0, finite and not decreasing; got {horizons}. "
-                "Use np.arange(1, 21) * dt."
+                f"extrapolate: horizons must be seconds >= 0, finite and not decreasing, (H,) or ({len(state.time)}, H); "
+                f"got {horizons}. Use np.arange(1, 21) * dt."
             )
         return extrapolate(self, state, ahead)
 

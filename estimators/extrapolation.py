@@ -44,7 +44,7 @@ def extrapolate(estimator: BankEstimator, state: State, horizons: Floats) -> Ext
     Args:
         estimator: whose bank runs on.
         state: B states of it.
-        horizons: seconds ahead, increasing; (H,).
+        horizons: seconds ahead, not decreasing; (H,), or (B, H) for each state its own.
 
     Returns:
         the moments.
@@ -54,8 +54,12 @@ def extrapolate(estimator: BankEstimator, state: State, horizons: Floats) -> Ext
     """
     tracks, modes = state.mode_probs.shape
     kin, states = state.kin_mean.shape[1], state.mean.shape[2]
-    size = max(1, int(_BYTES / (8.0 * len(horizons) * modes**2 * (states + kin + 1) ** 2)))
-    parts = [_extrapolate(estimator, _rows(state, slice(low, low + size)), horizons) for low in range(0, tracks, size)]
+    ahead = np.broadcast_to(horizons, (tracks, horizons.shape[-1]))
+    size = max(1, int(_BYTES / (8.0 * ahead.shape[1] * modes**2 * (states + kin + 1) ** 2)))
+    parts = [
+        _extrapolate(estimator, _rows(state, slice(low, low + size)), ahead[low : low + size])
+        for low in range(0, tracks, size)
+    ]
     return Extrapolation(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
@@ -65,15 +69,16 @@ def _rows(state: State, rows: slice) -> State:
 
 def _extrapolate(estimator: BankEstimator, state: State, horizons: Floats) -> Extrapolation:
     tracks, modes = state.mode_probs.shape
-    steps, kin, size = len(horizons), state.kin_mean.shape[1], estimator.bank.sensor.size
+    steps, kin, size = horizons.shape[1], state.kin_mean.shape[1], estimator.bank.sensor.size
     begun = State(*(np.repeat(value, modes, axis=0) for value in state[:-1]), state.layout)
     many = tracks * modes
     begun.mode_probs[:] = np.tile(np.eye(modes), (tracks, 1))
     begun.phase[:] = RUNNING
+    begun.time[:] = 0.0  # so that states of different times share the tables of equal steps
     inputs = check_inputs(
         estimator.bank,
         np.full((many, steps, size), np.nan),
-        begun.time[:, None] + horizons,
+        np.repeat(horizons, modes, axis=0),
         caller="extrapolate",
     )
     outputs, history = make_outputs(many, steps, kin, modes), estimator._history(many, steps)
