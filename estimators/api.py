@@ -402,8 +402,8 @@ class BankEstimator:
         fits = ahead.ndim == 1 or (ahead.ndim == 2 and len(ahead) == len(state.time))
         if not (fits and ahead.size and np.isfinite(ahead).all() and (np.diff(ahead, prepend=0.0) >= 0).all()):
             raise ValueError(
-                f"extrapolate: horizons must be seconds >= 0, finite, not decreasing, (H,) or ({len(state.time)}, H); got "
-                f"{horizons}. Use np.arange(1, 21) * dt."
+                "extrapolate: horizons must be seconds >= 0, finite, not decreasing, with shape (H,) or "
+                f"({len(state.time)}, H); got {horizons}. Use np.arange(1, 21) * dt."
             )
         return extrapolate(self, state, ahead)
 
