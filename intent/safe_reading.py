@@ -54,12 +54,13 @@ def read_bytes(path: Path, limit: int) -> bytes:
             f"load_model: {path.name} must lie in the folder of the model; got none in {path.parent}. "
             "Name a folder that `jink train intents` or save_model wrote."
         ) from None
+    found = os.fstat(descriptor)
+    if not stat.S_ISREG(found.st_mode):
+        os.close(descriptor)
+        refuse(path.name, "be a plain file", "something else", "Copy the file itself into the folder.")
     with os.fdopen(descriptor, "rb") as file:
-        found = os.fstat(file.fileno())
-        if not stat.S_ISREG(found.st_mode):
-            refuse(path.name, "be a plain file", "something else", "Copy the file itself into the folder.")
         content = file.read(limit + 1) if found.st_size <= limit else b""
-        size = max(found.st_size, len(content))
+    size = max(found.st_size, len(content))
     if size > limit:
         refuse(path.name, f"be at most {limit} bytes", f"{size}", "Models of intents are small: this is none.")
     return content
@@ -79,9 +80,12 @@ def parse_json(content: bytes, name: str, depth: int) -> dict[str, Any]:
     remedy = "Save the model again."
     try:
         text = content.decode("utf-8")
-        _check_depth(text, name, depth)
+    except UnicodeDecodeError as error:
+        refuse(name, "be JSON text in UTF-8", str(error), remedy)
+    _check_depth(text, name, depth)
+    try:
         value = json.loads(text, object_pairs_hook=_once, parse_constant=_no_constant)
-    except (UnicodeDecodeError, json.JSONDecodeError, _FoundError) as error:
+    except (json.JSONDecodeError, _FoundError) as error:
         refuse(name, "be JSON text in UTF-8", str(error), remedy)
     except ValueError:  # an integer of thousands of digits
         refuse(name, "hold numbers of a sensible length", "an integer of thousands of digits", remedy)

@@ -1,0 +1,350 @@
+"""Where the target may be in a while: a mixture over what it does now and what it will be doing then."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import logsumexp, ndtri
+from scipy.stats import qmc
+
+from jink.estimators.api import BankEstimator
+from jink.estimators.records import State
+from jink.estimators.status import DIVERGED, STARTING
+from jink.estimators.tracks import Tracks
+
+__all__ = ["ForecastScores", "PositionForecast", "forecast", "score_forecasts"]
+
+Floats = NDArray[np.float64]
+_PORTION = 200
+
+
+@dataclass(frozen=True)
+class PositionForecast:
+    """Positions to come, as a Gaussian mixture for each of B states and H horizons.
+
+    Model: component k is the road from mode ``now[k]`` to mode ``then[k]``; ``p(position) = sum_k weight_k
+    N(mean_k, covariance_k)``. Roads between the same two modes differ in when they switch; their moments are matched.
+
+    Args:
+        horizons: s ahead; (B, H).
+        weights: sum to 1; (B, H, K).
+        means: m; (B, H, K, A).
+        covariances: m^2, of the position without measurement noise; (B, H, K, A, A).
+        now, then: modes of each component; (K,).
+        modes: their names.
+    """
+
+    horizons: Floats
+    weights: Floats
+    means: Floats
+    covariances: Floats
+    now: NDArray[np.int64]
+    then: NDArray[np.int64]
+    modes: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.weights)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the components: "turn" stays, "turn > straight" switches."""
+        pairs = zip(self.now, self.then, strict=True)
+        return tuple(self.modes[i] if i == j else f"{self.modes[i]} > {self.modes[j]}" for i, j in pairs)
+
+    @property
+    def mode_probs(self) -> Floats:
+        """Probability of each mode at the horizon; (B, H, M)."""
+        found = np.zeros((*self.weights.shape[:2], len(self.modes)))
+        for k, mode in enumerate(self.then):
+            found[..., mode] += self.weights[..., k]
+        return found
+
+    @property
+    def mean(self) -> Floats:
+        """Mean of the mixture; (B, H, A); m."""
+        return np.asarray(np.einsum("bhk,bhka->bha", self.weights, self.means))
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance of the mixture; (B, H, A, A); m^2."""
+        apart = self.means - self.mean[:, :, None]
+        spread = self.covariances + apart[..., :, None] * apart[..., None, :]
+        return np.asarray(np.einsum("bhk,bhkac->bhac", self.weights, spread))
+
+    def collapsed(self) -> PositionForecast:
+        """The one Gaussian of equal mean and covariance: what a tracker without alternatives would say."""
+        zero = np.zeros(1, dtype=np.int64)
+        ones = np.ones((*self.weights.shape[:2], 1))
+        return PositionForecast(
+            self.horizons, ones, self.mean[:, :, None], self.covariance[:, :, None], zero, zero, ("all",)
+        )
+
+    def nll(self, truth: ArrayLike, noise: ArrayLike | None = None) -> Floats:
+        """Negative log-likelihood of where the target was; (B, H); nats; NaN where that is unknown.
+
+        Args:
+            truth: positions; (B, H, A); m.
+            noise: covariance of ``truth`` if it was measured; broadcasts to (B, H, A, A); m^2; None: exact.
+
+        Raises:
+            ValueError: another shape.
+        """
+        place, cov = self._truth(truth, "nll"), self.covariances
+        if noise is not None:
+            cov = cov + np.asarray(noise, dtype=np.float64)[..., None, :, :]
+        known = np.asarray(np.isfinite(place).all(axis=-1))
+        cov = np.where((self.weights > 0.0)[..., None, None], cov, np.eye(cov.shape[-1]))
+        lower = np.linalg.cholesky(cov)
+        apart = np.where(known[..., None], place, 0.0)[:, :, None] - self.means
+        white = np.linalg.solve(lower, apart[..., None])[..., 0]
+        half_log_det = np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(axis=-1)
+        log_density = -0.5 * np.square(white).sum(axis=-1) - half_log_det - 0.5 * cov.shape[-1] * math.log(2 * math.pi)
+        total = logsumexp(log_density, b=self.weights, axis=-1)
+        return np.where(known, -total, np.nan)
+
+    def samples(self, count: int, seed: int = 0) -> Floats:
+        """``count`` trajectories of each state; (B, count, H, A); m.
+
+        At every horizon they are spread as the mixture is, and along a trajectory the mode now, the mode switched to,
+        the share of trajectories that have switched, and the place within a component stay in order. Evenly spread
+        (scrambled Sobol numbers, the same for every state), so that few already show the alternatives.
+
+        Raises:
+            ValueError: count < 1.
+        """
+        if count < 1:
+            raise ValueError(f"samples: count must be >= 1; got {count}. Try 20.")
+        B, H, A = self.means.shape[0], self.means.shape[1], self.means.shape[3]
+        size = 1 << max(count - 1, 1).bit_length()
+        draws = qmc.Sobol(3 + A, scramble=True, rng=np.random.default_rng(seed)).random(size)[:count]
+        chosen = self._follow(draws[:, :3])
+        rows, times = np.arange(B)[:, None, None], np.arange(H)
+        lower = np.linalg.cholesky(np.where((self.weights > 0)[..., None, None], self.covariances, np.eye(A)))
+        normal = ndtri(np.clip(draws[:, 3:], 1e-12, 1 - 1e-12))
+        spread = np.einsum("bshac,sc->bsha", lower[rows, times, chosen], normal)
+        return np.asarray(self.means[rows, times, chosen] + spread)
+
+    def roads(self, count: int) -> tuple[Floats, Floats]:
+        """The ``count`` likeliest roads at the last horizon: weights (B, count) there, mean paths (B, count, H, A).
+
+        With fewer components than ``count``, all of them.
+        """
+        best = np.argsort(-self.weights[:, -1], axis=-1, kind="stable")[:, :count]
+        paths = np.take_along_axis(self.means, best[:, None, :, None], axis=2)
+        return np.take_along_axis(self.weights[:, -1], best, axis=1), np.swapaxes(paths, 1, 2)
+
+    def min_ade(self, truth: ArrayLike, count: int = 6, *, by: str = "samples", seed: int = 0) -> Floats:
+        """Mean distance to the truth of the best of ``count`` trajectories; (B,); m; NaN where nothing is known.
+
+        Args:
+            truth: positions; (B, H, A); m; NaN = unknown.
+            count: trajectories.
+            by: "samples", or "roads" for the mean paths of the likeliest components.
+            seed: of the samples.
+
+        Raises:
+            ValueError: another shape, or an unknown ``by``.
+        """
+        distance = self._distances(truth, count, by, seed, "min_ade")
+        known = np.isfinite(distance)
+        share = known.sum(axis=2)
+        mean = np.where(known, distance, 0.0).sum(axis=2) / np.maximum(share, 1)
+        return np.asarray(np.where(share > 0, mean, np.nan).min(axis=1))
+
+    def min_fde(self, truth: ArrayLike, count: int = 6, *, by: str = "samples", seed: int = 0) -> Floats:
+        """Distance at the last horizon of the best of ``count`` trajectories; (B,); m; as `min_ade`."""
+        return np.asarray(self._distances(truth, count, by, seed, "min_fde")[:, :, -1].min(axis=1))
+
+    def density(self, state: int, horizon: int, x: ArrayLike, y: ArrayLike) -> Floats:
+        """Probability density of (x, y) on a grid, for pictures; (len(y), len(x)); 1/m^2.
+
+        Args:
+            state: which of the B states.
+            horizon: which of the H horizons.
+            x, y: edges of no cells but points; m.
+        """
+        grid = np.stack(np.meshgrid(np.asarray(x, float), np.asarray(y, float)), axis=-1)
+        found = np.zeros(grid.shape[:2])
+        parts = zip(
+            self.weights[state, horizon], self.means[state, horizon], self.covariances[state, horizon], strict=True
+        )
+        for weight, mean, cov in parts:
+            if weight > 0.0:
+                apart = grid - mean[:2]
+                precision = np.linalg.inv(cov[:2, :2])
+                distance = np.einsum("yxa,ac,yxc->yx", apart, precision, apart)
+                found += weight * np.exp(-0.5 * distance) * math.sqrt(np.linalg.det(precision)) / (2 * math.pi)
+        return found
+
+    def _truth(self, truth: ArrayLike, caller: str) -> Floats:
+        place, wanted = np.asarray(truth, dtype=np.float64), (*self.weights.shape[:2], self.means.shape[-1])
+        if place.shape != wanted:
+            raise ValueError(
+                f"{caller}: truth must have shape (B, H, A) = {wanted}; got {place.shape}. Give one place per horizon."
+            )
+        return place
+
+    def _distances(self, truth: ArrayLike, count: int, by: str, seed: int, caller: str) -> Floats:
+        place = self._truth(truth, caller)
+        if by not in ("samples", "roads"):
+            raise ValueError(f"{caller}: by must be samples or roads; got {by!r}. Use samples.")
+        paths = self.samples(count, seed) if by == "samples" else self.roads(count)[1]
+        return np.asarray(np.linalg.norm(paths - place[:, None], axis=-1))
+
+    def _follow(self, draws: Floats) -> NDArray[np.int64]:
+        """Component of each trajectory at each horizon: where it is now, whether it has left, where to; (B, S, H)."""
+        stay = self.now == self.then
+        origins = np.flatnonzero(stay)
+        of = np.stack([np.where(self.now == self.now[k], self.weights, 0.0) for k in origins], axis=-1).sum(axis=2)
+        # What a state does now does not depend on the horizon.
+        start = _pick(of[:, 0], draws[:, 0])
+        chosen = np.empty((*start.shape, self.weights.shape[1]), dtype=np.int64)
+        for h in range(self.weights.shape[1]):
+            weight = self.weights[:, h]
+            for index, k in enumerate(origins):
+                there = start == index
+                others = np.flatnonzero((self.now == self.now[k]) & ~stay)
+                kept = weight[:, k] / np.maximum(of[:, h, index], 1e-300)
+                left = (draws[:, 1] >= kept[:, None]) & (others.size > 0)
+                where = others[_pick(weight[:, others], draws[:, 2])] if others.size else np.full(left.shape, k)
+                chosen[..., h] = np.where(there, np.where(left, where, k), chosen[..., h])
+        return chosen
+
+
+def _pick(weights: Floats, uniform: Floats) -> NDArray[np.int64]:
+    """Index by inverting the cumulated weights (B, K) at uniform numbers (S,); (B, S)."""
+    edges = np.cumsum(weights, axis=1)
+    below = uniform[None, :, None] * edges[:, -1:, None] >= edges[:, None, :]
+    return np.minimum(below.sum(axis=2), weights.shape[1] - 1)
+
+
+def forecast(estimator: BankEstimator, state: State, horizons: ArrayLike) -> PositionForecast:
+    """Where the target may be at each horizon.
+
+    Args:
+        estimator: whose state it is, of any recipe.
+        state: from `start`, `step` or `states`; B tracks.
+        horizons: s ahead, >= 0, not decreasing; (H,) or (B, H).
+
+    Returns:
+        a mixture over the mode now and the mode then; one component for an estimator of one mode.
+
+    Raises:
+        ValueError: as `BankEstimator.extrapolate`.
+    """
+    roads = estimator.extrapolate(state, horizons)
+    B, H, M = roads.weights.shape[:3]
+    ahead = np.broadcast_to(np.atleast_1d(np.asarray(horizons, dtype=np.float64)), (B, H))
+    now, then = (index.ravel() for index in np.divmod(np.arange(M * M), M))
+    return PositionForecast(
+        ahead,
+        roads.weights.reshape(B, H, M * M),
+        roads.mean.reshape(B, H, M * M, -1),
+        roads.cov.reshape(B, H, M * M, *roads.cov.shape[-2:]),
+        now,
+        then,
+        estimator.modes,
+    )
+
+
+class ForecastScores(NamedTuple):
+    """How good forecasts were: nll and rmse per horizon (H,), the other three over all forecasts.
+
+    ``horizon`` is the mean time ahead, s; nll in nats; distances in m; ``forecasts`` counts the states scored.
+    """
+
+    horizon: Floats
+    nll: Floats
+    rmse: Floats
+    min_ade: float
+    min_fde: float
+    forecasts: int
+
+
+def score_forecasts(
+    estimator: BankEstimator,
+    tracks: Tracks,
+    steps: int = 20,
+    *,
+    every: int = 5,
+    count: int = 6,
+    collapse: bool = False,
+    warm_up: int = 10,
+    use_noise: bool = True,
+    seed: int = 0,
+) -> ForecastScores:
+    """Forecast from every few rows of tracks to the rows that follow, and compare.
+
+    Args:
+        estimator: of any recipe.
+        tracks: with truth, or measured as positions (then the measurements, with their noise, are the truth).
+        steps: rows ahead, H.
+        every: from every so many rows.
+        count: trajectories of min_ade and min_fde.
+        collapse: score the single Gaussian instead.
+        warm_up: rows left out at the beginning of each track.
+        use_noise: the tracks' own covariances; False: the sensor's.
+        seed: of the trajectories.
+
+    Returns:
+        the scores.
+
+    Raises:
+        ValueError: no truth to compare with, or tracks too short.
+    """
+    if tracks.truth is None and tracks.sensor != "position":
+        raise ValueError(
+            f"score_forecasts: tracks must have truth or positions; got {tracks.sensor} alone. Add true_x, true_y."
+        )
+    nll, error, ade, fde, ahead = [], [], [], [], []
+    for found, truth, noise in _rolling(estimator, tracks, steps, every, warm_up, use_noise):
+        chosen = found.collapsed() if collapse else found
+        nll.append(chosen.nll(truth, noise))
+        error.append(np.linalg.norm(chosen.mean - truth, axis=-1))
+        ade.append(chosen.min_ade(truth, count, seed=seed))
+        fde.append(chosen.min_fde(truth, count, seed=seed))
+        ahead.append(chosen.horizons)
+    if not nll:
+        raise ValueError(
+            f"score_forecasts: tracks must be longer than warm_up + steps = {warm_up + steps} rows; got "
+            f"{int(tracks.lengths.max(initial=0))}. Shorten one of them."
+        )
+    square = np.square(np.concatenate(error))
+    return ForecastScores(
+        np.concatenate(ahead).mean(axis=0),
+        np.nanmean(np.concatenate(nll), axis=0),
+        np.sqrt(np.nanmean(square, axis=0)),
+        float(np.nanmean(np.concatenate(ade))),
+        float(np.nanmean(np.concatenate(fde))),
+        len(square),
+    )
+
+
+def _rolling(
+    estimator: BankEstimator, tracks: Tracks, steps: int, every: int, warm_up: int, use_noise: bool
+) -> Iterator[tuple[PositionForecast, Floats, Floats | None]]:
+    """Forecasts of one track after another, in portions, with where the target was and how well that is known."""
+    for track in tracks:
+        T = len(track.times)
+        rows = np.arange(warm_up, T - steps, every)
+        noise = track.noise if use_noise else None
+        if not rows.size:
+            continue
+        states, estimates = estimator.states(track.measurements, track.times, noise, sensor_states=track.sensor_states)
+        status = estimates.status[0, rows]
+        rows = rows[(status != STARTING) & (status != DIVERGED)]
+        for low in range(0, len(rows), _PORTION):
+            part = rows[low : low + _PORTION]
+            following = part[:, None] + np.arange(1, steps + 1)
+            chosen = State._make([*(value[part] for value in states[:-1]), states.layout])
+            found = forecast(estimator, chosen, track.times[following] - track.times[part, None])
+            if track.truth is not None:
+                yield found, track.truth[following], None
+            else:
+                R = estimator.bank.sensor.noise if noise is None else noise[following]
+                yield found, track.measurements[following], np.asarray(R)
