@@ -16,6 +16,7 @@ from torch import Tensor
 
 from jink.estimators.sensors import position
 from jink.estimators.starting import start_batch
+from jink.intent.adjoint.function import compiled_scan
 from jink.intent.torch_parameters import ModelParameters
 from jink.intent.torch_scan import Recursion, scan
 
@@ -150,6 +151,8 @@ def filter_batch(
     temper: float = 1.0,
     min_prob: float = 1e-6,
     moments: bool = False,
+    operations: bool | None = None,
+    threads: int = 1,
 ) -> Recursion:
     """Run the bank over a batch.
 
@@ -159,6 +162,8 @@ def filter_batch(
         temper: see `log_likelihood`.
         min_prob: floor of mode probabilities, as in `Bank`.
         moments: also give mode probabilities, fused position and velocity with covariance.
+        operations: torch operations instead of compiled code; None: only where the batch is not on the processor.
+        threads: processor cores for the compiled code.
 
     Returns:
         `Recursion`; tracks in trouble have zeros in ``log_likelihood`` and True in ``failed``, and no gradient.
@@ -184,12 +189,17 @@ def filter_batch(
             place = torch.nn.functional.pad(noise[0], (0, axes, 0, axes))
             rest = torch.nn.functional.pad(start_cov[:, axes:, axes:], (axes, 0, axes, 0))
             start_cov = place + rest
-        return scan(
+        given = (
             tables, chain, birth_mean, birth_var, initial,
             part.z, part.dt, part.which, noise, part.detected, part.start_mean, start_cov,
             temper, min_prob, moments,
         )  # fmt: skip
+        return scan(*given) if operations else compiled_scan(*given, threads=threads)
 
+    if operations is None:
+        operations = batch.z.device.type != "cpu"
+    if not operations:
+        return run(batch)
     result = run(batch)
     failed = result.failed
     for _ in range(3):
