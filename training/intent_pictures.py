@@ -19,6 +19,7 @@ from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 
 from jink.estimators.tracks import Tracks
+from jink.intent.describing import describe_phase
 from jink.intent.features import encode
 from jink.intent.model import IntentModel
 from jink.intent.window import choose_window
@@ -127,13 +128,12 @@ def plot_clusters(path: Path, model: IntentModel, tracks: Tracks, labels: NDArra
     eta, of = features.eta.reshape(-1, features.eta.shape[-1])[chosen], labels.ravel()[chosen]
     growth, turn = 100.0 * eta[:, 0], np.degrees(_turn(eta[:, 1:]))
     with plt.rc_context(_STYLE):
-        figure, axis = plt.subplots(figsize=(6.4, 4.6), layout="constrained")
+        figure, axis = plt.subplots(figsize=(6.4, 4.6 + 0.2 * len(model.intents)), layout="constrained")
         for number, intent in enumerate(model.intents):
             mine = of == number
-            axis.plot(
-                turn[mine], growth[mine], ".", ms=2.5, color=colour_of(number), alpha=0.45, rasterized=True, mew=0
-            )
-            axis.plot([], [], "o", ms=5, color=colour_of(number), label=intent.name)
+            axis.plot(turn[mine], growth[mine], "o", ms=2.2, mew=0, color=colour_of(number), alpha=0.5, rasterized=True)
+            said = f"{intent.name}: {', then '.join(describe_phase(phase) for phase in intent.phases)}"
+            axis.plot([], [], "o", ms=5, color=colour_of(number), label=said)
             _draw_births(axis, model, number)
         for set_limits, values in ((axis.set_xlim, turn), (axis.set_ylim, growth)):
             if len(values):
@@ -146,7 +146,7 @@ def plot_clusters(path: Path, model: IntentModel, tracks: Tracks, labels: NDArra
         )
         said = f"{len(chosen)} rows in windows of {features.window:.3g} s; ellipses: births, 2 sigma"
         axis.set_title(said, loc="left", fontsize=9)
-        axis.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+        figure.legend(loc="outside lower left", frameon=False, fontsize=8)
         _save(figure, path)
 
 
@@ -219,7 +219,7 @@ def _draw_rollouts(figure: Any, model: IntentModel, rows: int, columns: int, see
         for side in (axis.xaxis, axis.yaxis, *([axis.zaxis] if model.axes == 3 else [])):
             side.set_major_locator(plt.MaxNLocator(4))
     said = f"m, from the black dot at {speed:.3g} m/s, for 1.5 mean durations, without noise"
-    figure.supxlabel(f"{said}; dots are equally far apart in time", fontsize=8)
+    figure.supxlabel(f"{said};\ndots are equally far apart in time", fontsize=8)
 
 
 def _draw_own(model: IntentModel, number: int, rng: np.random.Generator) -> tuple[int, Floats]:
