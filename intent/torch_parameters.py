@@ -57,6 +57,18 @@ class ModelParameters(nn.Module):
         log_noise: standard deviation of the measurement; (A,); None where the sensor's is used.
     """
 
+    _intent_of: Tensor
+    _phase_of: Tensor
+    _birth_of: Tensor
+    _owner_of: Tensor
+    _sign: Tensor
+    _share: Tensor
+    _first: Tensor
+    _swings: Tensor
+    _leave: Tensor
+    _again: Tensor
+    _onward: Tensor
+
     def __init__(self, model: IntentModel) -> None:
         super().__init__()
         self.model = model

@@ -26,7 +26,11 @@ _COLUMN = {name: i for i, name in enumerate(FIELDS)}
 
 
 class Recursion(NamedTuple):
-    """What a pass over all rows gives; ``failed`` tracks hold numbers that mean nothing from some row on."""
+    """What a pass over all rows gives.
+
+    ``failed`` tracks met numerical trouble; after a backward pass of the compiled recursion also those whose
+    derivatives were no numbers.
+    """
 
     log_likelihood: Tensor  # (B, T)
     mode_probs: Tensor  # (B, T, M), empty unless asked for

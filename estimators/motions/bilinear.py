@@ -131,8 +131,8 @@ def swing_noise(
 @kernel
 def _remember(mean: float, rate: float, dt: float, value: float) -> tuple[float, float]:
     """A value that returns to its mean at ``rate``: integral over ``dt`` and value at its end."""
-    g0, g1, _, _, _, _, _, _ = decay(rate * dt)
-    return mean * dt + dt * g1 * (value - mean), mean + g0 * (value - mean)
+    _, g1, _, _, _, _, _, _ = decay(rate * dt)
+    return mean * dt + dt * g1 * (value - mean), value - rate * dt * g1 * (value - mean)
 
 
 @kernel
@@ -488,7 +488,7 @@ def bilinear(
     axes = check_axes(caller, axes, (2, 3))
     natural, damping = 0.0, 0.5
     if swing is not None:
-        if len(swing) != 2:
+        if not isinstance(swing, Sequence) or len(swing) != 2:
             raise ValueError(f"{caller}: swing must be (natural rate, damping); got {swing!r}. Give rad/s and 0.1.")
         natural = check_option(caller, "swing natural rate", swing[0], "> 0")
         damping = check_option(caller, "swing damping", swing[1], "> 0")
