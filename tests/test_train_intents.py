@@ -356,6 +356,54 @@ def test_track_with_a_model(files, tmp_path, capsys):
     assert "--model: model must have the 2 axes of the tracks; got one of 3" in refused(capsys, *given)
 
 
+@pytest.fixture
+def hooked(tmp_path):
+    """A target that goes straight for 20 s, turns at 0.15 rad/s for 20 s and goes on straight."""
+    times = np.arange(60.0)
+    heading = 0.15 * np.clip(times - 20.0, 0.0, 20.0)
+    truth = np.cumsum(10.0 * np.stack([np.cos(heading), np.sin(heading)], axis=1), axis=0)
+    z = truth + np.random.default_rng(0).normal(0, 1.0, truth.shape)
+    path = tmp_path / "hook.csv"
+    pd.DataFrame({"track": "a", "t": times, "x": z[:, 0], "y": z[:, 1]}).to_csv(path, index=False)
+    slow = ((-0.03, 0.03), (0.03, -0.03))
+    save_model(stand_in_model().with_(generator=slow), tmp_path / "m")
+    return path
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_segment_labels_rows_and_finds_changes(hooked, tmp_path, capsys, suffix):
+    out, plot = tmp_path / f"labels.{suffix}", tmp_path / "labels.png"
+    given = ("segment", hooked, "--model", tmp_path / "m", "--sigma", 1)
+    assert run(*given, "--out", out, "--plot", plot) == 0
+    text = capsys.readouterr().out
+    found = pd.read_csv(out) if suffix == "csv" else pd.read_parquet(out)
+    assert list(found) == ["track", "t", "intent", "prob_straight", "prob_turn", "change"]
+    truth = np.where((found["t"] > 20) & (found["t"] <= 40), "turn", "straight")
+    assert (found["intent"] == truth).mean() > 0.93
+    np.testing.assert_allclose(found["prob_straight"] + found["prob_turn"], 1.0, atol=1e-9)
+    near = found["t"].between(17, 24)
+    assert found["change"][near].sum() > 0.4 and found["change"][0] == 0.0
+    times = [float(t) for t in re.findall(r"a +(?:straight > turn|turn > straight) +([\d.]+) +[01]\.", text)]
+    np.testing.assert_allclose(times, [20.5, 40.5], atol=2.5)
+    assert re.search(r"turn +3\d % +1", text) and plt.imread(plot).std() > 0.02
+    assert run(*given, "--handed") == 0
+    assert re.search(r"turn left +3\d % +1", capsys.readouterr().out)
+
+
+def test_segment_refuses(hooked, tmp_path, capsys):
+    given = ("segment", hooked, "--model", tmp_path / "m")
+    assert "--out: file must not be the input file" in refused(capsys, *given, "--out", hooked)
+    assert "--show: value must name a track; got 'z'" in refused(capsys, *given, "--show", "z")
+    assert "--plot: file must end in .png" in refused(capsys, *given, "--plot", "a.gif")
+    assert "--model: value must be a folder" in refused(capsys, "segment", hooked, "--model", "nothing")
+    assert "Missing option '--model'" in refused(capsys, "segment", hooked)
+
+
+def test_segment_estimates_noise_that_nobody_gave(hooked, tmp_path, capsys):
+    assert run("segment", hooked, "--model", tmp_path / "m") == 0
+    assert re.search(r"turn +[234]\d %", capsys.readouterr().out)
+
+
 def test_pretrained_models_load():
     for name in pretrained_names():
         model = load_pretrained(name)

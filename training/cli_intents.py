@@ -150,6 +150,9 @@ def _segment(
     show: Annotated[
         str | None, typer.Option(help="Track to draw; default the longest.", rich_help_panel=_OUTPUT)
     ] = None,
+    handed: Annotated[
+        bool, typer.Option("--handed", help="Left and right are labels of their own.", rich_help_panel=_OUTPUT)
+    ] = False,
     columns: Columns = "",
     where: Where = None,
     axes: Axes = None,
@@ -176,4 +179,4 @@ def _segment(
         drop_repeats=drop_repeats,
         rate_hz=rate_hz,
     )
-    print_segmented(screen(), segment_file(SegmentRequest(reading, model, out, plot, show)))
+    print_segmented(screen(), segment_file(SegmentRequest(reading, model, out, plot, show, handed)))
