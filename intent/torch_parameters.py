@@ -32,6 +32,11 @@ def _plain(values: list[float], unit: float) -> nn.Parameter:
     return nn.Parameter(torch.tensor(values, dtype=torch.float64) / unit)
 
 
+def _positive(log: Tensor, power: float = 1.0) -> Tensor:
+    """``exp(power log)``, and 0 where there is nothing."""
+    return torch.where(log <= _NOTHING, torch.zeros_like(log), torch.exp(power * log))
+
+
 def _exact(log: Tensor) -> np.ndarray:
     values = log.detach().cpu().double()
     return np.asarray(torch.where(values <= _NOTHING, torch.zeros_like(values), torch.exp(values)))
@@ -167,8 +172,8 @@ class ModelParameters(nn.Module):
         """Rates between modes; (M, M), 1/s."""
         entry = self.birth_weights()[self._birth_of] * self._share
         i, p = self._intent_of, self._phase_of
-        rates = torch.exp(self.log_rates)[i][:, i] * self._leave
-        rates = rates + torch.exp(self.log_renewal)[i][:, None] * self._again
+        rates = _positive(self.log_rates)[i][:, i] * self._leave
+        rates = rates + _positive(self.log_renewal)[i][:, None] * self._again
         rates = rates + torch.exp(-self.log_duration)[p][:, None] * self._onward
         rates = rates * entry
         return rates - torch.diag(rates.sum(1))
@@ -185,11 +190,11 @@ class ModelParameters(nn.Module):
         growth = (_GROWTH_UNIT * self.birth_growth)[b]
         turn = (_TURN_UNIT * self.birth_turn)[b] * self._sign
         means = [growth] + [turn] * turns
-        turn_var = torch.exp(2.0 * self.log_birth_turn_sd)[b]
-        variances = [torch.exp(2.0 * self.log_birth_growth_sd)[b]] + [turn_var] * turns
+        turn_var = _positive(self.log_birth_turn_sd, 2.0)[b]
+        variances = [_positive(self.log_birth_growth_sd, 2.0)[b]] + [turn_var] * turns
         if slope:
             means += [torch.zeros_like(turn)] * turns
-            kick = torch.exp(2.0 * self.log_birth_swing_sd)[b]
+            kick = _positive(self.log_birth_swing_sd, 2.0)[b]
             variances += [torch.where(self._swings, kick, torch.ones_like(kick))] * turns
         return torch.stack(means, 1), torch.stack(variances, 1)
 
@@ -198,13 +203,13 @@ class ModelParameters(nn.Module):
         p = self._phase_of
         law = {
             "growth_mean": (_GROWTH_UNIT * self.growth_mean)[p],
-            "growth_rate": torch.exp(self.log_growth_rate)[p],
-            "growth_noise": torch.exp(self.log_growth_noise)[p],
+            "growth_rate": _positive(self.log_growth_rate)[p],
+            "growth_noise": _positive(self.log_growth_noise)[p],
             "turn_mean": (_TURN_UNIT * self.turn_mean)[p] * self._sign,
-            "turn_rate": torch.exp(self.log_turn_rate)[p],
-            "turn_noise": torch.exp(self.log_turn_noise)[p],
-            "wobble": torch.exp(self.log_wobble)[p],
-            "natural": torch.exp(self.log_natural)[p],
+            "turn_rate": _positive(self.log_turn_rate)[p],
+            "turn_noise": _positive(self.log_turn_noise)[p],
+            "wobble": _positive(self.log_wobble)[p],
+            "natural": _positive(self.log_natural)[p],
             "damping": self.damping[p],
         }
         chain = torch.matrix_exp(self.generator() * dt[:, None, None])
