@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from jink.intent.laws import Birth
 from jink.intent.model import Intent, IntentModel
-from jink.intent.torch_tables import law_tables
+from jink.intent.torch_tables import law_tables, markov_matrices
 
 __all__ = ["ModelParameters"]
 
@@ -212,7 +212,7 @@ class ModelParameters(nn.Module):
             "natural": _positive(self.log_natural)[p],
             "damping": self.damping[p],
         }
-        chain = torch.matrix_exp(self.generator() * dt[:, None, None])
+        chain = markov_matrices(self.generator(), dt)
         return law_tables(law, dt, self._swings, self.model.second_order), chain
 
     def to_model(self, **changes: object) -> IntentModel:

@@ -6,14 +6,16 @@ The torch twin of the parts of `jink.estimators.motions.bilinear` that do not de
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from jink.estimators.motions.bilinear import _NODES, _WEIGHTS
 
-__all__ = ["FIELDS", "impulse_response", "law_tables"]
+__all__ = ["FIELDS", "impulse_response", "law_tables", "markov_matrices"]
 
 FIELDS = (
     *("growth_0", "growth_g"),  # integral of g: constant and factor of g
@@ -30,41 +32,48 @@ _SERIES = 4.0
 _SHORT = 2.0
 
 
-def _decay(x: Tensor) -> list[Tensor]:
-    """``g_0 .. g_5`` of `series.decay`, for ``x >= 0``, with gradients that hold for any x."""
-    near, far = x.clamp(max=_SERIES), x.clamp(min=_SERIES)
-    g5 = torch.zeros_like(x)
-    for j in range(25, -1, -1):
-        g5 = 1.0 - near / (j + 6) * g5
-    g5 = g5 / 120.0
-    g4 = 1.0 / 24.0 - near * g5
-    g3 = 1.0 / 6.0 - near * g4
-    g2 = 0.5 - near * g3
-    g1 = 1.0 - near * g2
-    series = [1.0 - near * g1, g1, g2, g3, g4, g5]
-    g = torch.exp(-far)
-    closed = [g]
-    for factorial in (1.0, 1.0, 0.5, 1.0 / 6.0, 1.0 / 24.0):
-        g = (factorial - g) / far
-        closed.append(g)
-    small = x < _SERIES
-    return [torch.where(small, a, b) for a, b in zip(series, closed, strict=True)]
+class _Decay(torch.autograd.Function):
+    """``g_0 .. g_7`` of `series.decay`, for ``x >= 0``, stacked; ``d g_k / dx = k g_(k+1) - g_k``."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        near, far = x.clamp(max=_SERIES), x.clamp(min=_SERIES)
+        g = torch.zeros_like(x)
+        for j in range(25, -1, -1):
+            g = torch.addcmul(torch.ones_like(x), near, g, value=-1.0 / (j + 9))
+        series = [g / 40320.0]
+        for k in range(7, -1, -1):
+            series.append(1.0 / math.factorial(k) - near * series[-1])
+        closed = [torch.exp(-far)]
+        for k in range(8):
+            closed.append((1.0 / math.factorial(k) - closed[-1]) / far)
+        out = torch.where(x < _SERIES, torch.stack(series[::-1]), torch.stack(closed))
+        ctx.save_for_backward(out)
+        return out
+
+    @staticmethod
+    def backward(ctx: Any, bar: Tensor) -> Tensor:  # type: ignore[override]
+        (g,) = ctx.saved_tensors
+        order = torch.arange(8, dtype=g.dtype, device=g.device).reshape(-1, *[1] * (g.ndim - 1))
+        return (bar[:8] * (order * g[1:] - g[:8])).sum(0)
 
 
-def _decayed_noise(x: Tensor) -> list[Tensor]:
-    """``int_0^1`` of the products of ``(r^2 g_2, r g_1, g_0)(x r)``: pp, pv, pa, vv, va, aa."""
-    near, far = x.clamp(max=_SHORT), x.clamp(min=_SHORT)
-    _, _, n2, n3, n4, _ = _decay(near)
-    _, _, _, d3, _, d5 = _decay(2.0 * near)
-    _, g1, g2, _, _, _ = _decay(x)
-    _, d1, *_ = _decay(2.0 * x)
+def _decay(x: Tensor) -> Tensor:
+    """``g_0 .. g_8`` of a decay; the last has no derivative."""
+    return _Decay.apply(x)  # type: ignore[no-any-return, no-untyped-call]
+
+
+def _decayed_noise(x: Tensor, g: Tensor) -> list[Tensor]:
+    """``int_0^1`` of the products of ``(r^2 g_2, r g_1, g_0)(x r)``: pp, pv, pa, vv, va, aa; ``g`` at x."""
+    far = x.clamp(min=_SHORT)
+    d = _decay(2.0 * x)
     e = torch.exp(-far)
     half = 0.5 * (1.0 - torch.exp(-2.0 * far))
     small = x < _SHORT
-    pp = torch.where(small, 16.0 * d5 - 2.0 * n4, (((far / 3.0 - 1.0) * far + 1.0 - 2.0 * e) * far + half) / far**5)
-    pa = torch.where(small, 4.0 * d3 - n2, (half - far * e) / far**3)
-    vv = torch.where(small, 4.0 * d3 - 2.0 * n3, (far - 2.0 * (1.0 - e) + half) / far**3)
-    return [pp, 0.5 * g2 * g2, pa, vv, 0.5 * g1 * g1, d1]
+    pp = torch.where(small, 16.0 * d[5] - 2.0 * g[4], (((far / 3.0 - 1.0) * far + 1.0 - 2.0 * e) * far + half) / far**5)
+    pa = torch.where(small, 4.0 * d[3] - g[2], (half - far * e) / far**3)
+    vv = torch.where(small, 4.0 * d[3] - 2.0 * g[3], (far - 2.0 * (1.0 - e) + half) / far**3)
+    return [pp, 0.5 * g[2] * g[2], pa, vv, 0.5 * g[1] * g[1], d[1]]
 
 
 def impulse_response(x: Tensor, damping: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -123,6 +132,31 @@ def _swing_noise(x: Tensor, damping: Tensor) -> list[Tensor]:
     return [torch.where(x < 1.0, a, b) for a, b in zip(short, long, strict=True)]
 
 
+def markov_matrices(generator: Tensor, dt: Tensor) -> Tensor:
+    """``expm(generator dt)`` of many steps; (M, M), (U,) to (U, M, M).
+
+    By uniformisation as `jink.estimators.markov.transition_matrix`: only non-negative numbers are added. A series of
+    twelfth order for all steps at once, squared; its gradient costs a tenth of that of a general exponential.
+    """
+    M = len(generator)
+    unit = torch.eye(M, dtype=generator.dtype, device=generator.device)
+    rate = -generator.detach().diagonal().min()
+    longest = float(rate * dt.max())
+    squarings = max(0, math.ceil(math.log2(longest / 0.25))) if longest > 0.25 else 0
+    part = (dt / 2.0**squarings)[:, None, None]
+    first = (generator + rate * unit) * part
+    second = first @ first
+    third = second @ first
+    out = third / math.factorial(12)
+    for k in (9, 6, 3, 0):
+        out = out + second / math.factorial(k + 2) + first / math.factorial(k + 1) + unit / math.factorial(k)
+        out = out @ third if k else out
+    out = out * torch.exp(-rate * part)
+    for _ in range(squarings):
+        out = out @ out
+    return out
+
+
 def law_tables(law: Mapping[str, Tensor], dt: Tensor, swings: Tensor, slope: bool) -> Tensor:
     """Rows of `FIELDS` for every time step and mode.
 
@@ -138,10 +172,11 @@ def law_tables(law: Mapping[str, Tensor], dt: Tensor, swings: Tensor, slope: boo
     """
     t = dt[:, None].expand(-1, len(swings))
     zero = torch.zeros_like(t)
-    x = law["growth_rate"] * t
-    g0, g1, *_ = _decay(x)
+    x = torch.stack([law["growth_rate"] * t, law["turn_rate"] * t])
+    decays = _decay(x)
+    moments = _decayed_noise(x, decays)
+    (g0, g1), (r0, r1) = decays[:2, 0], decays[:2, 1]
     columns = [law["growth_mean"] * (t - t * g1), t * g1, law["growth_mean"] * (1.0 - g0), g0]
-    r0, r1, *_ = _decay(law["turn_rate"] * t)
     mean = law["turn_mean"]
     turn = [
         mean * (t - t * r1),
@@ -154,10 +189,10 @@ def law_tables(law: Mapping[str, Tensor], dt: Tensor, swings: Tensor, slope: boo
         zero,
         torch.exp(-t) if slope else zero,
     ]
-    p = _decayed_noise(x)
+    p = [moment[0] for moment in moments]
     q = law["growth_noise"] * t
     noise = [q * t**4 * p[0], q * t**3 * p[1], q * t**2 * p[2], q * t**2 * p[3], q * t * p[4], q * p[5]]
-    p = _decayed_noise(law["turn_rate"] * t)
+    p = [moment[1] for moment in moments]
     q = law["turn_noise"] * t
     dormant = -torch.expm1(-2.0 * t) if slope else zero
     turning = [

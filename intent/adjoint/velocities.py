@@ -15,28 +15,38 @@ from jink.estimators.motions.series import stumpff
 __all__ = ["shapes", "shapes_adjoint", "velocities", "velocities_adjoint"]
 
 
+_INVERSE = tuple(1.0 / math.factorial(k) for k in range(17))
+
+
 @kernel
 def _plane(growth, angle):
-    """Real and imaginary parts of ``e^z``, of ``(e^z - 1)/z = phi`` and of ``phi'``."""
+    """Real and imaginary parts of ``e^z``, of ``(e^z - 1)/z = phi`` and of ``phi'``.
+
+    A step turns by less than half a radian as a rule: there series give all three without an exponential.
+    """
+    size = growth * growth + angle * angle
+    if size < 0.25:
+        last = 7 if size < 2.5e-3 else 13
+        real, imag = _INVERSE[last + 1], 0.0
+        slope_real, slope_imag = (last + 1) * _INVERSE[last + 2], 0.0
+        for k in range(last, 0, -1):
+            real, imag = _INVERSE[k] + real * growth - imag * angle, real * angle + imag * growth
+            slope_real, slope_imag = (
+                k * _INVERSE[k + 1] + slope_real * growth - slope_imag * angle,
+                slope_real * angle + slope_imag * growth,
+            )
+        return (
+            1.0 + growth * real - angle * imag,
+            growth * imag + angle * real,
+            real,
+            imag,
+            slope_real,
+            slope_imag,
+        )
     factor = math.exp(growth)
     half = math.sin(0.5 * angle)
     cosine = 1.0 - 2.0 * half * half
-    turned = math.sin(angle)
-    sine = factor * turned
-    size = growth * growth + angle * angle
-    if size < 1e-4:
-        real, imag, power_real, power_imag = 1.0, 0.0, 1.0, 0.0
-        slope_real, slope_imag = 0.5, 0.0
-        scale = 1.0
-        for k in range(1, 7):
-            power_real, power_imag = power_real * growth - power_imag * angle, power_real * angle + power_imag * growth
-            scale /= k + 1
-            real += scale * power_real
-            imag += scale * power_imag
-            share = scale * (k + 1) / (k + 2)
-            slope_real += share * power_real
-            slope_imag += share * power_imag
-        return factor * cosine, sine, real, imag, slope_real, slope_imag
+    sine = factor * math.sin(angle)
     x = math.expm1(growth) * cosine - 2.0 * half * half
     end = factor * cosine
     real = (x * growth + sine * angle) / size
