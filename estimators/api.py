@@ -403,7 +403,7 @@ class BankEstimator:
         if not (fits and ahead.size and np.isfinite(ahead).all() and (np.diff(ahead, prepend=0.0) >= 0).all()):
             raise ValueError(
                 "extrapolate: horizons must be seconds >= 0, finite, not decreasing, with shape (H,) or "
-                f"({len(state.time)}, H); got {horizons}. Use np.arange(1, 21) * dt."
+                f"({len(state.time)}, H); got {horizons!r}. Use np.arange(1, 21) * dt."
             )
         return extrapolate(self, state, ahead)
 

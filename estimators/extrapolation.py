@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from jink.estimators.batches import in_parallel
 from jink.estimators.forecasting import forecast_states
 from jink.estimators.inputs import check_inputs
-from jink.estimators.records import RUNNING, State, make_outputs
+from jink.estimators.records import RUNNING, History, Outputs, State, make_outputs
 
 if TYPE_CHECKING:
     from jink.estimators.api import BankEstimator
 
-__all__ = ["Extrapolation", "extrapolate"]
+__all__ = ["Extrapolation", "extrapolate", "follow_modes", "rows_of"]
 
 Floats = NDArray[np.float64]
 _BYTES = 2e8
@@ -57,31 +57,57 @@ def extrapolate(estimator: BankEstimator, state: State, horizons: Floats) -> Ext
     ahead = np.broadcast_to(horizons, (tracks, horizons.shape[-1]))
     size = max(1, int(_BYTES / (8.0 * ahead.shape[1] * modes**2 * (states + kin + 1) ** 2)))
     parts = [
-        _extrapolate(estimator, _rows(state, slice(low, low + size)), ahead[low : low + size])
+        _extrapolate(estimator, rows_of(state, slice(low, low + size)), ahead[low : low + size])
         for low in range(0, tracks, size)
     ]
     return Extrapolation(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
-def _rows(state: State, rows: slice) -> State:
-    return State(*(value[rows] for value in state[:-1]), state.layout)
+def follow_modes(
+    estimator: BankEstimator, state: State, horizons: Floats, modes: NDArray[np.int64]
+) -> tuple[Floats, Floats]:
+    """Moments of the position along given sequences of modes: nothing is collapsed, for nothing is uncertain but noise.
+
+    Args:
+        estimator: whose bank runs on.
+        state: B states of it.
+        horizons: seconds ahead, not decreasing; (B, H).
+        modes: mode now, then at each horizon; (B, S, H + 1).
+
+    Returns:
+        mean (B, S, H, A), m, and covariance (B, S, H, A, A), m^2.
+    """
+    B, S, H = modes.shape[0], modes.shape[1], modes.shape[2] - 1
+    many, count, axes = B * S, state.mode_probs.shape[1], state.kin_mean.shape[1] // 2
+    sequences = modes.reshape(many, H + 1)
+    begun = _repeated(state, S)
+    begun.mode_probs[:] = np.eye(count)[sequences[:, 0]]
+    forced = np.repeat(np.eye(count)[sequences[:, 1:], None, :], count, axis=2)
+    _, outputs = _run_on(estimator, begun, np.repeat(horizons, S, axis=0), forced)
+    mean, cov = outputs.kin_mean[..., :axes], outputs.kin_cov[..., :axes, :axes]
+    return mean.reshape(B, S, H, axes), cov.reshape(B, S, H, axes, axes)
 
 
-def _extrapolate(estimator: BankEstimator, state: State, horizons: Floats) -> Extrapolation:
-    tracks, modes = state.mode_probs.shape
-    steps, kin, size = horizons.shape[1], state.kin_mean.shape[1], estimator.bank.sensor.size
-    begun = State(*(np.repeat(value, modes, axis=0) for value in state[:-1]), state.layout)
-    many = tracks * modes
-    begun.mode_probs[:] = np.tile(np.eye(modes), (tracks, 1))
+def rows_of(state: State, rows: slice | NDArray[np.int64]) -> State:
+    """Some of the tracks of a state."""
+    return State._make([*(value[rows] for value in state[:-1]), state.layout])
+
+
+def _repeated(state: State, times: int) -> State:
+    return State._make([*(np.repeat(value, times, axis=0) for value in state[:-1]), state.layout])
+
+
+def _run_on(
+    estimator: BankEstimator, begun: State, horizons: Floats, chains: Floats | None = None
+) -> tuple[History, Outputs]:
+    """The bank's own cycle without measurements; ``begun`` is used up."""
+    many, steps = horizons.shape
     begun.phase[:] = RUNNING
     begun.time[:] = 0.0  # so that states of different times share the tables of equal steps
-    inputs = check_inputs(
-        estimator.bank,
-        np.full((many, steps, size), np.nan),
-        np.repeat(horizons, modes, axis=0),
-        caller="extrapolate",
-    )
-    outputs, history = make_outputs(many, steps, kin, modes), estimator._history(many, steps)
+    nothing = np.full((many, steps, estimator.bank.sensor.size), np.nan)
+    inputs = check_inputs(estimator.bank, nothing, horizons, mode_transition=chains, caller="extrapolate")
+    outputs = make_outputs(many, steps, begun.kin_mean.shape[1], begun.mode_probs.shape[1])
+    history = estimator._history(many, steps if chains is None else 0)
     in_parallel(
         estimator.threads,
         lambda low, high: estimator._advance(begun, inputs, outputs, history, low, high),
@@ -89,6 +115,15 @@ def _extrapolate(estimator: BankEstimator, state: State, horizons: Floats) -> Ex
         steps,
         None,
     )
+    return history, outputs
+
+
+def _extrapolate(estimator: BankEstimator, state: State, horizons: Floats) -> Extrapolation:
+    tracks, modes = state.mode_probs.shape
+    steps, kin = horizons.shape[1], state.kin_mean.shape[1]
+    begun = _repeated(state, modes)
+    begun.mode_probs[:] = np.tile(np.eye(modes), (tracks, 1))
+    history, outputs = _run_on(estimator, begun, np.repeat(horizons, modes, axis=0))
     mean, cov = _positions(estimator, history.mean, history.cov, kin)
     shape = (tracks, modes, steps, modes)
     reached = np.swapaxes(outputs.mode_probs.reshape(shape), 1, 2)

@@ -13,6 +13,7 @@ from scipy.special import logsumexp, ndtri
 from scipy.stats import qmc
 
 from jink.estimators.api import BankEstimator
+from jink.estimators.extrapolation import follow_modes, rows_of
 from jink.estimators.records import State
 from jink.estimators.status import DIVERGED, STARTING
 from jink.estimators.tracks import Tracks
@@ -37,6 +38,9 @@ class PositionForecast:
         covariances: m^2, of the position without measurement noise; (B, H, K, A, A).
         now, then: modes of each component; (K,).
         modes: their names.
+        paths: trajectories that the target might take, equally likely; (B, S, H, A); m. Each follows one sequence of
+            modes drawn from the chain and keeps its place within the noise. Evenly spread (Sobol numbers), so that few
+            already show the alternatives.
     """
 
     horizons: Floats
@@ -46,6 +50,7 @@ class PositionForecast:
     now: NDArray[np.int64]
     then: NDArray[np.int64]
     modes: tuple[str, ...]
+    paths: Floats
 
     def __len__(self) -> int:
         return len(self.weights)
@@ -76,13 +81,15 @@ class PositionForecast:
         spread = self.covariances + apart[..., :, None] * apart[..., None, :]
         return np.asarray(np.einsum("bhk,bhkac->bhac", self.weights, spread))
 
-    def collapsed(self) -> PositionForecast:
+    def collapsed(self, seed: int = 0) -> PositionForecast:
         """The one Gaussian of equal mean and covariance: what a tracker without alternatives would say."""
         zero = np.zeros(1, dtype=np.int64)
-        ones = np.ones((*self.weights.shape[:2], 1))
-        return PositionForecast(
-            self.horizons, ones, self.mean[:, :, None], self.covariance[:, :, None], zero, zero, ("all",)
-        )
+        B, S, H, A = self.paths.shape
+        mean, cov = self.mean, self.covariance
+        normal = ndtri(_even(S, A, seed))
+        paths = mean[:, None] + np.einsum("bhac,sc->bsha", np.linalg.cholesky(cov), normal)
+        ones = np.ones((B, H, 1))
+        return PositionForecast(self.horizons, ones, mean[:, :, None], cov[:, :, None], zero, zero, ("all",), paths)
 
     def nll(self, truth: ArrayLike, noise: ArrayLike | None = None) -> Floats:
         """Negative log-likelihood of where the target was; (B, H); nats; NaN where that is unknown.
@@ -107,28 +114,6 @@ class PositionForecast:
         total = logsumexp(log_density, b=self.weights, axis=-1)
         return np.where(known, -total, np.nan)
 
-    def samples(self, count: int, seed: int = 0) -> Floats:
-        """``count`` trajectories of each state; (B, count, H, A); m.
-
-        At every horizon they are spread as the mixture is, and along a trajectory the mode now, the mode switched to,
-        the share of trajectories that have switched, and the place within a component stay in order. Evenly spread
-        (scrambled Sobol numbers, the same for every state), so that few already show the alternatives.
-
-        Raises:
-            ValueError: count < 1.
-        """
-        if count < 1:
-            raise ValueError(f"samples: count must be >= 1; got {count}. Try 20.")
-        B, H, A = self.means.shape[0], self.means.shape[1], self.means.shape[3]
-        size = 1 << max(count - 1, 1).bit_length()
-        draws = qmc.Sobol(3 + A, scramble=True, rng=np.random.default_rng(seed)).random(size)[:count]
-        chosen = self._follow(draws[:, :3])
-        rows, times = np.arange(B)[:, None, None], np.arange(H)
-        lower = np.linalg.cholesky(np.where((self.weights > 0)[..., None, None], self.covariances, np.eye(A)))
-        normal = ndtri(np.clip(draws[:, 3:], 1e-12, 1 - 1e-12))
-        spread = np.einsum("bshac,sc->bsha", lower[rows, times, chosen], normal)
-        return np.asarray(self.means[rows, times, chosen] + spread)
-
     def roads(self, count: int) -> tuple[Floats, Floats]:
         """The ``count`` likeliest roads at the last horizon: weights (B, count) there, mean paths (B, count, H, A).
 
@@ -138,27 +123,26 @@ class PositionForecast:
         paths = np.take_along_axis(self.means, best[:, None, :, None], axis=2)
         return np.take_along_axis(self.weights[:, -1], best, axis=1), np.swapaxes(paths, 1, 2)
 
-    def min_ade(self, truth: ArrayLike, count: int = 6, *, by: str = "samples", seed: int = 0) -> Floats:
+    def min_ade(self, truth: ArrayLike, count: int = 6, *, by: str = "paths") -> Floats:
         """Mean distance to the truth of the best of ``count`` trajectories; (B,); m; NaN where nothing is known.
 
         Args:
             truth: positions; (B, H, A); m; NaN = unknown.
-            count: trajectories.
-            by: "samples", or "roads" for the mean paths of the likeliest components.
-            seed: of the samples.
+            count: trajectories, at most as many as there are.
+            by: "paths", or "roads" for the mean paths of the likeliest components.
 
         Raises:
-            ValueError: another shape, or an unknown ``by``.
+            ValueError: another shape, too many trajectories, or an unknown ``by``.
         """
-        distance = self._distances(truth, count, by, seed, "min_ade")
+        distance = self._distances(truth, count, by, "min_ade")
         known = np.isfinite(distance)
         share = known.sum(axis=2)
         mean = np.where(known, distance, 0.0).sum(axis=2) / np.maximum(share, 1)
         return np.asarray(np.where(share > 0, mean, np.nan).min(axis=1))
 
-    def min_fde(self, truth: ArrayLike, count: int = 6, *, by: str = "samples", seed: int = 0) -> Floats:
+    def min_fde(self, truth: ArrayLike, count: int = 6, *, by: str = "paths") -> Floats:
         """Distance at the last horizon of the best of ``count`` trajectories; (B,); m; as `min_ade`."""
-        return np.asarray(self._distances(truth, count, by, seed, "min_fde")[:, :, -1].min(axis=1))
+        return np.asarray(self._distances(truth, count, by, "min_fde")[:, :, -1].min(axis=1))
 
     def density(self, state: int, horizon: int, x: ArrayLike, y: ArrayLike) -> Floats:
         """Probability density of (x, y) on a grid, for pictures; (len(y), len(x)); 1/m^2.
@@ -189,57 +173,82 @@ class PositionForecast:
             )
         return place
 
-    def _distances(self, truth: ArrayLike, count: int, by: str, seed: int, caller: str) -> Floats:
+    def _distances(self, truth: ArrayLike, count: int, by: str, caller: str) -> Floats:
         place = self._truth(truth, caller)
-        if by not in ("samples", "roads"):
-            raise ValueError(f"{caller}: by must be samples or roads; got {by!r}. Use samples.")
-        paths = self.samples(count, seed) if by == "samples" else self.roads(count)[1]
+        if by not in ("paths", "roads"):
+            raise ValueError(f"{caller}: by must be paths or roads; got {by!r}. Use paths.")
+        if by == "paths" and not 1 <= count <= self.paths.shape[1]:
+            raise ValueError(
+                f"{caller}: count must be in 1 .. {self.paths.shape[1]}, the paths of this forecast; got {count}. "
+                "Pass paths= to forecast."
+            )
+        paths = self.paths[:, :count] if by == "paths" else self.roads(count)[1]
         return np.asarray(np.linalg.norm(paths - place[:, None], axis=-1))
 
-    def _follow(self, draws: Floats) -> NDArray[np.int64]:
-        """Component of each trajectory at each horizon: where it is now, whether it has left, where to; (B, S, H)."""
-        stay = self.now == self.then
-        origins = np.flatnonzero(stay)
-        of = np.stack([np.where(self.now == self.now[k], self.weights, 0.0) for k in origins], axis=-1).sum(axis=2)
-        # What a state does now does not depend on the horizon.
-        start = _pick(of[:, 0], draws[:, 0])
-        chosen = np.empty((*start.shape, self.weights.shape[1]), dtype=np.int64)
-        for h in range(self.weights.shape[1]):
-            weight = self.weights[:, h]
-            for index, k in enumerate(origins):
-                there = start == index
-                others = np.flatnonzero((self.now == self.now[k]) & ~stay)
-                kept = weight[:, k] / np.maximum(of[:, h, index], 1e-300)
-                left = (draws[:, 1] >= kept[:, None]) & (others.size > 0)
-                where = others[_pick(weight[:, others], draws[:, 2])] if others.size else np.full(left.shape, k)
-                chosen[..., h] = np.where(there, np.where(left, where, k), chosen[..., h])
-        return chosen
+
+def _even(count: int, size: int, seed: int) -> Floats:
+    """Evenly spread numbers in (0, 1); (count, size)."""
+    if count == 0:
+        return np.empty((0, size))
+    whole = 1 << (count - 1).bit_length()  # Sobol numbers are balanced in powers of two
+    found = qmc.Sobol(size, scramble=True, rng=np.random.default_rng(seed)).random(whole)[:count]
+    return np.asarray(np.clip(found, 1e-12, 1.0 - 1e-12))
 
 
-def _pick(weights: Floats, uniform: Floats) -> NDArray[np.int64]:
-    """Index by inverting the cumulated weights (B, K) at uniform numbers (S,); (B, S)."""
-    edges = np.cumsum(weights, axis=1)
-    below = uniform[None, :, None] * edges[:, -1:, None] >= edges[:, None, :]
-    return np.minimum(below.sum(axis=2), weights.shape[1] - 1)
+def _draw_modes(estimator: BankEstimator, state: State, horizons: Floats, uniform: Floats) -> NDArray[np.int64]:
+    """Sequences of modes from the chain, by inverting cumulated probabilities; (B, S, H + 1)."""
+    B, H = horizons.shape
+    chain = estimator.bank.chain
+    modes = np.empty((B, len(uniform), H + 1), dtype=np.int64)
+    modes[:, :, 0] = _pick(state.mode_probs[:, None, :], uniform[:, 0])
+    steps = np.diff(horizons, axis=1, prepend=0.0)
+    sizes, which = np.unique(steps, return_inverse=True)
+    tables = np.array([np.eye(1) if chain is None else chain.at(float(dt)) for dt in sizes])
+    which = which.reshape(steps.shape)
+    for h in range(H):
+        moves = tables[which[:, h][:, None], modes[:, :, h]]
+        modes[:, :, h + 1] = _pick(moves, uniform[:, h + 1])
+    return modes
 
 
-def forecast(estimator: BankEstimator, state: State, horizons: ArrayLike) -> PositionForecast:
+def _pick(probs: Floats, uniform: Floats) -> NDArray[np.int64]:
+    """Index by inverting cumulated probabilities (B, S or 1, K) at uniform numbers (S,); (B, S)."""
+    edges = np.cumsum(probs, axis=2)
+    below = uniform[None, :, None] * edges[..., -1:] >= edges
+    return np.minimum(below.sum(axis=2), probs.shape[2] - 1)
+
+
+def forecast(
+    estimator: BankEstimator, state: State, horizons: ArrayLike, *, paths: int = 20, seed: int = 0
+) -> PositionForecast:
     """Where the target may be at each horizon.
 
     Args:
         estimator: whose state it is, of any recipe.
         state: from `start`, `step` or `states`; B tracks.
         horizons: s ahead, >= 0, not decreasing; (H,) or (B, H).
+        paths: trajectories to draw, >= 0.
+        seed: of the paths; the same for every state.
 
     Returns:
         a mixture over the mode now and the mode then; one component for an estimator of one mode.
 
     Raises:
-        ValueError: as `BankEstimator.extrapolate`.
+        ValueError: as `BankEstimator.extrapolate`, or paths < 0.
     """
+    if paths < 0:
+        raise ValueError(f"forecast: paths must be >= 0; got {paths}. Use 20.")
     roads = estimator.extrapolate(state, horizons)
     B, H, M = roads.weights.shape[:3]
-    ahead = np.broadcast_to(np.atleast_1d(np.asarray(horizons, dtype=np.float64)), (B, H))
+    ahead = np.array(np.broadcast_to(np.atleast_1d(np.asarray(horizons, dtype=np.float64)), (B, H)))
+    axes = roads.mean.shape[-1]
+    drawn = np.empty((B, 0, H, axes))
+    if paths:
+        uniform = _even(paths, 1 + H + axes, seed)
+        # The place within the noise comes first: the first dimensions are the most evenly spread together.
+        modes = _draw_modes(estimator, state, ahead, uniform[:, axes:])
+        mean, cov = follow_modes(estimator, state, ahead, modes)
+        drawn = mean + np.einsum("bshac,sc->bsha", np.linalg.cholesky(cov), ndtri(uniform[:, :axes]))
     now, then = (index.ravel() for index in np.divmod(np.arange(M * M), M))
     return PositionForecast(
         ahead,
@@ -249,6 +258,7 @@ def forecast(estimator: BankEstimator, state: State, horizons: ArrayLike) -> Pos
         now,
         then,
         estimator.modes,
+        drawn,
     )
 
 
@@ -302,12 +312,12 @@ def score_forecasts(
             f"score_forecasts: tracks must have truth or positions; got {tracks.sensor} alone. Add true_x, true_y."
         )
     nll, error, ade, fde, ahead = [], [], [], [], []
-    for found, truth, noise in _rolling(estimator, tracks, steps, every, warm_up, use_noise):
-        chosen = found.collapsed() if collapse else found
+    for found, truth, noise in _rolling(estimator, tracks, steps, every, warm_up, use_noise, (count, seed)):
+        chosen = found.collapsed(seed) if collapse else found
         nll.append(chosen.nll(truth, noise))
         error.append(np.linalg.norm(chosen.mean - truth, axis=-1))
-        ade.append(chosen.min_ade(truth, count, seed=seed))
-        fde.append(chosen.min_fde(truth, count, seed=seed))
+        ade.append(chosen.min_ade(truth, count))
+        fde.append(chosen.min_fde(truth, count))
         ahead.append(chosen.horizons)
     if not nll:
         raise ValueError(
@@ -326,7 +336,13 @@ def score_forecasts(
 
 
 def _rolling(
-    estimator: BankEstimator, tracks: Tracks, steps: int, every: int, warm_up: int, use_noise: bool
+    estimator: BankEstimator,
+    tracks: Tracks,
+    steps: int,
+    every: int,
+    warm_up: int,
+    use_noise: bool,
+    paths: tuple[int, int],
 ) -> Iterator[tuple[PositionForecast, Floats, Floats | None]]:
     """Forecasts of one track after another, in portions, with where the target was and how well that is known."""
     for track in tracks:
@@ -341,8 +357,8 @@ def _rolling(
         for low in range(0, len(rows), _PORTION):
             part = rows[low : low + _PORTION]
             following = part[:, None] + np.arange(1, steps + 1)
-            chosen = State._make([*(value[part] for value in states[:-1]), states.layout])
-            found = forecast(estimator, chosen, track.times[following] - track.times[part, None])
+            ahead = track.times[following] - track.times[part, None]
+            found = forecast(estimator, rows_of(states, part), ahead, paths=paths[0], seed=paths[1])
             if track.truth is not None:
                 yield found, track.truth[following], None
             else:

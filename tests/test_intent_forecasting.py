@@ -10,7 +10,7 @@ from jink.estimators.api import BankEstimator
 from jink.estimators.bank import Bank, Mode
 from jink.estimators.inputs import Prior
 from jink.estimators.markov import MarkovChain
-from jink.estimators.motions import constant_velocity, polar_turn
+from jink.estimators.motions import constant_velocity, known_turn, polar_turn
 from jink.estimators.recipes import make_estimator
 from jink.estimators.sensors import position
 from jink.estimators.tracks import Tracks
@@ -153,7 +153,8 @@ def ways():
     weights = np.array([[[0.5, 0.1, 0.0, 0.4], [0.3, 0.3, 0.1, 0.3]]])
     means = np.array([[[[0, 0], [10, 0], [50, 50], [0, 90]], [[0, 0], [20, 0], [60, 60], [0, 99]]]], dtype=float)
     covs = np.broadcast_to([[1.0, 0.5], [0.5, 2.0]], (1, 2, 4, 2, 2)).copy()
-    return PositionForecast(horizons, weights, means, covs, np.array([0, 0, 1, 1]), np.array([0, 1, 0, 1]), ("a", "b"))
+    now, then = np.array([0, 0, 1, 1]), np.array([0, 1, 0, 1])
+    return PositionForecast(horizons, weights, means, covs, now, then, ("a", "b"), np.zeros((1, 3, 2, 2)))
 
 
 def test_density_is_a_density(ways):
@@ -166,20 +167,35 @@ def test_density_is_a_density(ways):
     assert image[row, column] == pytest.approx(np.exp(-ways.nll(there)[0, 1]), rel=1e-9)
 
 
-def test_samples_are_spread_as_the_mixture_at_every_horizon(ways):
-    paths = ways.samples(4096, seed=1)
-    assert paths.shape == (1, 4096, 2, 2)
-    near = np.linalg.norm(paths[0][:, :, None] - ways.means[0], axis=-1).argmin(axis=-1)  # (S, H)
-    for h in range(2):
-        # Sobol points: far closer than the 0.008 of independent ones.
-        np.testing.assert_allclose(np.bincount(near[:, h], minlength=4) / 4096, ways.weights[0, h], atol=4e-3)
-    inside = paths[0, near[:, 1] == 1, 1] - ways.means[0, 1, 1]
-    np.testing.assert_allclose(np.cov(inside.T), ways.covariances[0, 0, 0], atol=0.15)
-    # Who goes one way now does not jump to the other, and nobody comes back from a switch.
-    assert np.isin(near[np.isin(near[:, 0], [0, 1]), 1], [0, 1]).all()
-    assert (near[near[:, 0] == 1, 1] == 1).all()
-    np.testing.assert_array_equal(paths, ways.samples(4096, seed=1))
-    assert not np.array_equal(paths, ways.samples(4096, seed=2))
+def test_paths_are_spread_as_the_mixture_at_every_horizon():
+    estimator = bank([0.1, 20.0], rates=((-0.3, 0.3), (0.6, -0.6)))
+    state = estimator.start(*measured())
+    found = forecast(estimator, state, [1.0, 2.0, 3.0], paths=4096, seed=1)
+    apart = found.paths[0] - found.mean[0]
+    scale = np.sqrt(np.diagonal(found.covariance[0], axis1=1, axis2=2))
+    # Sobol points of 4096: some times closer than the 1/64 of independent ones.
+    np.testing.assert_allclose(apart.mean(axis=0) / scale, 0.0, atol=0.01)
+    for h in range(3):
+        np.testing.assert_allclose(np.cov(apart[:, h].T), found.covariance[0, h], atol=0.02 * scale[h, 0] ** 2)
+    np.testing.assert_array_equal(found.paths, forecast(estimator, state, [1.0, 2.0, 3.0], paths=4096, seed=1).paths)
+    assert not np.array_equal(found.paths, forecast(estimator, state, [1.0, 2.0, 3.0], paths=4096, seed=2).paths)
+    assert forecast(estimator, state, [1.0], paths=0).paths.shape == (1, 0, 1, 2)
+
+
+def test_a_path_is_that_of_its_modes():
+    """Turns that never end: every path is a circle of one of two radii, and none jumps between them."""
+    modes = tuple(Mode(name, known_turn(rate, acceleration_density=1e-6)) for name, rate in (("l", 0.3), ("r", -0.3)))
+    chain = MarkovChain(generator=((0.0, 0.0), (0.0, 0.0)))
+    estimator = BankEstimator(Bank(modes, SENSOR, chain=chain, initial_probs=(0.25, 0.75)))
+    prior = Prior(np.array([0.0, 0.0, 10.0, 0.0]), np.diag([1e-6] * 4), time=0.0)
+    states, _ = estimator.states(np.full((1, 2), np.nan), [0.0], prior=prior)
+    times = np.arange(1.0, 6.0)
+    found = forecast(estimator, states, times, paths=64)
+    circle = np.stack([np.sin(0.3 * times), 1.0 - np.cos(0.3 * times)], axis=1) * 10.0 / 0.3
+    left = found.paths[0, :, -1, 1] > 0
+    assert left.sum() == 16
+    np.testing.assert_allclose(found.paths[0, left], np.broadcast_to(circle, (16, 5, 2)), atol=0.05)
+    np.testing.assert_allclose(found.paths[0, ~left], np.broadcast_to(circle * [1, -1], (48, 5, 2)), atol=0.05)
 
 
 def test_best_of_several_paths(ways):
@@ -194,20 +210,21 @@ def test_best_of_several_paths(ways):
     half[0, 1] = np.nan
     assert ways.min_ade(half, 4, by="roads")[0] == pytest.approx(0.0)
     assert np.isnan(ways.min_fde(half, 4, by="roads")[0])
-    many = [ways.min_ade(truth, count)[0] for count in (4, 8, 16, 64)]
-    assert many == sorted(many, reverse=True) and many[-1] < 5.0  # prefixes of one sequence
+    drawn = dataclasses.replace(ways, paths=truth[:, None] + np.array([7.0, 2.0, 5.0])[None, :, None, None])
+    assert drawn.min_ade(truth, 1)[0] == pytest.approx(7.0 * np.sqrt(2.0))
+    assert drawn.min_ade(truth, 3)[0] == pytest.approx(2.0 * np.sqrt(2.0)) == drawn.min_fde(truth, 2)[0]
 
 
 def test_one_gaussian_says_less_than_the_mixture(ways):
     """Truth drawn from the mixture: its own score is better by the divergence of the two, about 3 nats here."""
-    truth = ways.samples(256, seed=3)[0]
-    many = dataclasses.replace(
-        ways,
-        **{
-            name: np.repeat(getattr(ways, name), 256, axis=0)
-            for name in ("horizons", "weights", "means", "covariances")
-        },
-    )
+    rng = np.random.default_rng(3)
+    truth = np.empty((256, 2, 2))
+    for row in truth:
+        for h in range(2):
+            k = rng.choice(4, p=ways.weights[0, h])
+            row[h] = rng.multivariate_normal(ways.means[0, h, k], ways.covariances[0, h, k])
+    names = ("horizons", "weights", "means", "covariances", "paths")
+    many = dataclasses.replace(ways, **{name: np.repeat(getattr(ways, name), 256, axis=0) for name in names})
     one = many.collapsed()
     np.testing.assert_allclose(one.mean, many.mean)
     np.testing.assert_allclose(one.covariance, many.covariance)
@@ -254,10 +271,13 @@ def test_refusals(ways, single):
         forecast(bank([0.1, 1.0], rates=((-1, 1), (1, -1))), state, [1.0])
     with pytest.raises(ValueError, match=r"truth must have shape .* = \(1, 2, 2\)"):
         ways.nll(np.zeros((1, 3, 2)))
-    with pytest.raises(ValueError, match="by must be samples or roads"):
+    with pytest.raises(ValueError, match="by must be paths or roads"):
         ways.min_ade(np.zeros((1, 2, 2)), by="luck")
-    with pytest.raises(ValueError, match="count must be >= 1"):
-        ways.samples(0)
+    for count in (0, 4):
+        with pytest.raises(ValueError, match=r"count must be in 1 \.\. 3"):
+            ways.min_ade(np.zeros((1, 2, 2)), count)
+    with pytest.raises(ValueError, match="paths must be >= 0"):
+        forecast(estimator, state, [1.0], paths=-1)
     ranges = Tracks.from_arrays(np.ones((20, 1)), np.arange(20.0), sensor="range", axes=2)
     with pytest.raises(ValueError, match="tracks must have truth or positions"):
         score_forecasts(estimator, ranges)

@@ -22,6 +22,7 @@ from jink.estimators.tracks import Tracks
 from jink.intent.describing import describe_phase
 from jink.intent.features import encode
 from jink.intent.model import IntentModel
+from jink.intent.progress import Progress
 from jink.intent.window import choose_window
 from jink.training.plotting import MODE_COLOURS
 
@@ -49,7 +50,10 @@ _RARE = 0.03
 
 
 class CurvePoint(NamedTuple):
-    """How well so many intents predict tracks that were not fitted: nats per row, with a 95 % interval."""
+    """How well so many intents predict tracks that were not fitted: nats per row.
+
+    low, high: 95 % interval of the difference to the best number, added to the best.
+    """
 
     intents: int
     nats: float
@@ -150,13 +154,12 @@ def plot_clusters(path: Path, model: IntentModel, tracks: Tracks, labels: NDArra
         _save(figure, path)
 
 
-def plot_curve(path: Path, trace: Floats, stages: Sequence[str], curve: Sequence[CurvePoint], chosen: int) -> None:
+def plot_curve(path: Path, trace: Sequence[Progress], curve: Sequence[CurvePoint], chosen: int) -> None:
     """Likelihood while fitting, and against the number of intents.
 
     Args:
         path: .png, .pdf or .svg.
-        trace: nats per row of each report that had one; (N,).
-        stages: what was going on; (N,).
+        trace: reports that had a likelihood, in order.
         curve: one point per number of intents tried.
         chosen: number of intents of the model.
     """
@@ -167,7 +170,7 @@ def plot_curve(path: Path, trace: Floats, stages: Sequence[str], curve: Sequence
         )
         axes = dict(zip(panels, found[0], strict=False))
         if "fit" in axes:
-            _draw_trace(axes["fit"], trace, stages)
+            _draw_trace(axes["fit"], trace)
         if "choice" in axes:
             _draw_choice(axes["choice"], curve, chosen)
         if not panels:
@@ -297,14 +300,21 @@ def _draw_graph(axis: Any, model: IntentModel) -> None:
     axis.set_axis_off()
 
 
-def _draw_trace(axis: Any, trace: Floats, stages: Sequence[str]) -> None:
-    names = list(dict.fromkeys(stages))
+def _draw_trace(axis: Any, trace: Sequence[Progress]) -> None:
+    """One line per climb, which begins at its first step; crosses are of tracks held out."""
+    names = list(dict.fromkeys(report.stage for report in trace))
     for k, name in enumerate(names):
-        mine = np.array([stage == name for stage in stages])
-        axis.plot(np.flatnonzero(mine), trace[mine], ".-", ms=3, lw=0.8, color=colour_of(k), label=name)
-    finite = trace[np.isfinite(trace)]
-    low = float(np.quantile(finite, 0.02)) if finite.size else 0.0
-    high = float(finite.max()) if finite.size else 1.0
+        nats = np.array([r.log_likelihood if r.stage == name and not r.held_out else np.nan for r in trace])
+        held = np.array([r.log_likelihood if r.stage == name and r.held_out else np.nan for r in trace])
+        first = [n for n, r in enumerate(trace) if n and r.stage == name and r.step <= trace[n - 1].step]
+        line = np.insert(nats, first, np.nan)
+        place = np.insert(np.arange(len(trace), dtype=np.float64), first, np.nan)
+        axis.plot(place, line, ".-", ms=3, lw=0.8, color=colour_of(k), label=name)
+        axis.plot(np.arange(len(trace)), held, "x", ms=5, color=colour_of(k))
+    if any(report.held_out for report in trace):
+        axis.plot([], [], "x", color="black", label="held out")
+    values = np.array([report.log_likelihood for report in trace])
+    low, high = float(np.quantile(values, 0.02)), float(values.max())
     axis.set(xlabel="report", ylabel="log-likelihood, nats per row", ylim=(low - 0.05 * (high - low) - 1e-3, None))
     axis.legend(frameon=False, fontsize=8)
     axis.set_title("fitting", loc="left", fontsize=9)
@@ -321,7 +331,7 @@ def _draw_choice(axis: Any, curve: Sequence[CurvePoint], chosen: int) -> None:
         axis.plot([chosen], at[-1:], "o", ms=11, mfc="none", mec=MODE_COLOURS[4], mew=1.6, label="chosen")
         axis.legend(frameon=False, fontsize=8)
     axis.xaxis.set_major_locator(plt.MaxNLocator(integer=True))
-    axis.set(xlabel="intents", ylabel="held out, nats per row")
+    axis.set(xlabel="intents (bars: 95 % of the difference to the best)", ylabel="held out, nats per row")
     axis.set_title("choosing their number", loc="left", fontsize=9)
 
 

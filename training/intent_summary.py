@@ -59,14 +59,18 @@ def print_model(console: Console, model: IntentModel) -> None:
 def _print_curve(console: Console, curve: Sequence[CurvePoint], chosen: int) -> None:
     if not curve:
         return
-    table = plain_table("intents", "held out, nats per row", "95 % interval", "", words=0)
+    table = plain_table("intents", "held out, nats per row", "95 % of the difference to the best", "", words=0)
+    best = max(point.nats for point in curve)
     for point in sorted(curve):
         mark = "chosen" if point.intents == chosen else ""
         known = math.isfinite(point.low) and math.isfinite(point.high)
-        table.add_row(
-            f"{point.intents}", f"{point.nats:.4f}", f"{point.low:.4f} to {point.high:.4f}" if known else "-", mark
-        )
+        table.add_row(f"{point.intents}", f"{point.nats:.4f}", _span(point, best) if known else "-", mark)
     console.print(table)
+
+
+def _span(point: CurvePoint, best: float) -> str:
+    """The interval of the difference to the best, which has none to itself."""
+    return "best" if point.nats == best else f"{point.low - best:+.4f} to {point.high - best:+.4f}"
 
 
 def unresolved() -> str:
@@ -102,10 +106,11 @@ def write_readme(
         lines += [f"Measurement noise that was learned: {', '.join(f'{v:.3g}' for v in model.noise_sd)} m.", ""]
     lines += _intent_table(model)
     if curve:
-        lines += ["| intents | held out, nats per row | 95 % interval |", "|---|---|---|"]
+        lines += ["| intents | held out, nats per row | 95 % of the difference to the best |", "|---|---|---|"]
+        best = max(point.nats for point in curve)
         for point in sorted(curve):
             known = math.isfinite(point.low) and math.isfinite(point.high)
-            span = f"{point.low:.4f} to {point.high:.4f}" if known else "-"
+            span = _span(point, best) if known else "-"
             mark = " (chosen)" if point.intents == len(model.intents) else ""
             lines.append(f"| {point.intents}{mark} | {point.nats:.4f} | {span} |")
         lines.append("")

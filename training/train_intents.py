@@ -10,7 +10,7 @@ import os
 import platform
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -126,10 +126,10 @@ def train_intents(request: TrainRequest) -> TrainReport:
         with TrainingLog(work / "progress.jsonl", out / "tensorboard") as log:
             learner = _make_learner(request, tracks, work / "learner", log)
             learner.fit(tracks)
-            trace, stages = log.trace()
+            trace = log.trace()
         model, curve = _with_provenance(learner, request, tracks, key), _curve(learner)
         save_model(model, out)
-        _draw(out, model, tracks, trace, stages, curve)
+        _draw(out, model, tracks, trace, curve)
         resolvable = bool(getattr(learner, "resolvable_", True))
         write_readme(out / "README.md", model, tracks, curve, resolvable, PICTURES)
         _write(out / _DONE, {"request": key, "finished": True})
@@ -285,12 +285,12 @@ def _remembered(about: Any) -> tuple[tuple[CurvePoint, ...], bool]:
 
 
 def _draw(
-    out: Path, model: IntentModel, tracks: Tracks, trace: NDArray[np.float64], stages: list[str], curve: Any
+    out: Path, model: IntentModel, tracks: Tracks, trace: Sequence[Progress], curve: Sequence[CurvePoint]
 ) -> None:
     clusters, rollouts, likelihood, graph = (out / name for name in PICTURES)
     plot_rollouts(rollouts, model)
     plot_graph(graph, model)
-    plot_curve(likelihood, trace, stages, curve, len(model.intents))
+    plot_curve(likelihood, trace, curve, len(model.intents))
     plot_clusters(clusters, model, tracks, intent_labels(model, tracks))
 
 

@@ -11,8 +11,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, TextIO
 
-import numpy as np
-from numpy.typing import NDArray
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
 
@@ -21,6 +19,8 @@ from jink.training.console import stderr
 
 __all__ = ["TrainingLog", "describe_progress"]
 
+Said = tuple[str, int, int, float, bool]
+"""Stage, step, intents, nats per row, whether of tracks held out."""
 _EVERY_S = 20.0
 """Without a terminal a line appears at every new stage, and at most this often within one."""
 
@@ -35,7 +35,8 @@ class TrainingLog:
 
     def __init__(self, path: Path, board: Path) -> None:
         self._path, self._board_folder = path, board
-        self._known = dict(_read(path))
+        self._known = _read(path)
+        self._replayed = bool(self._known)
         self._began = self._said = time.monotonic()
         self._stage = ""
         self._terminal = sys.stderr.isatty()
@@ -53,7 +54,7 @@ class TrainingLog:
         self._board: Any = None
 
     def __enter__(self) -> TrainingLog:
-        self._file = self._path.open("a", encoding="utf-8")
+        self._begin_file()
         self._board = _board(self._board_folder)
         self._bar.start()
         return self
@@ -72,18 +73,36 @@ class TrainingLog:
         self._show(report)
         if not math.isfinite(report.log_likelihood):
             return
-        key = (report.stage, report.step, report.intents)
         if self._board is not None:
             self._board.add_scalar(f"{report.stage}/nats per row", report.log_likelihood, report.step)
             self._board.add_scalar(f"{report.stage}/intents", report.intents, report.step)
-        if key not in self._known and self._file is not None:
-            self._file.write(json.dumps([*key, report.log_likelihood]) + "\n")
+        said = (report.stage, report.step, report.intents, float(report.log_likelihood), bool(report.held_out))
+        if self._replayed:
+            self._replayed = False
+            self._forget_from(said)
+        self._known.append(said)
+        if self._file is not None:
+            self._file.write(json.dumps(said) + "\n")
             self._file.flush()
-        self._known[key] = report.log_likelihood
 
-    def trace(self) -> tuple[NDArray[np.float64], list[str]]:
-        """Nats per row of every report that had them, in order, and its stage; what a killed run said included."""
-        return np.array(list(self._known.values())), [stage for stage, _, _ in self._known]
+    def trace(self) -> list[Progress]:
+        """Every report that had a likelihood, in order; what a killed run said included."""
+        return [Progress(stage, step, 0, intents, nats, held) for stage, step, intents, nats, held in self._known]
+
+    def _forget_from(self, said: Said) -> None:
+        """A learner that goes on repeats the stage it was killed in, to the same bits: what was said of it goes."""
+        places = [k for k, known in enumerate(self._known) if known == said]
+        if places and self._file is not None:
+            self._known = self._known[: places[-1]]
+            self._file.close()
+            self._begin_file()
+
+    def _begin_file(self) -> None:
+        """A file of what is known so far, open for more; without the line that a kill cut short."""
+        part = self._path.with_name(f".{self._path.name}.part")
+        part.write_text("".join(json.dumps(line) + "\n" for line in self._known), encoding="utf-8")
+        part.replace(self._path)
+        self._file = self._path.open("a", encoding="utf-8")
 
     def _show(self, report: Progress) -> None:
         said = describe_progress(report)
@@ -107,15 +126,15 @@ def describe_progress(report: Progress) -> str:
     return said
 
 
-def _read(path: Path) -> list[tuple[tuple[str, int, int], float]]:
+def _read(path: Path) -> list[Said]:
     """Reports of an earlier run; a line that a kill cut short ends them."""
-    found = []
+    found: list[Said] = []
     for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
         try:
-            stage, step, intents, nats = json.loads(line)
+            stage, step, intents, nats, held = json.loads(line)
         except ValueError:
             break
-        found.append(((stage, step, intents), nats))
+        found.append((stage, step, intents, nats, held))
     return found
 
 
