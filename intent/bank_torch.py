@@ -27,12 +27,12 @@ _QUANTUM = 2.0**-40
 
 
 class Batch(NamedTuple):
-    """Tracks as tensors, with where each begins; rows that no measurement follows or precedes cost nothing but time.
+    """Tracks as tensors, with where each begins.
 
     ``z`` (B, T, A), ``times`` (B, T), ``noise`` (B or 1, T or 1, A, A), ``detected`` (B, T): rows to update with, the
     first measurement not among them (it is the start); ``dt`` (U,) the distinct time steps, ``which`` (B, T) the one
     that leads to each row (0 s before the start and after the end); ``start_mean`` (B, 2A), ``start_cov`` (B, 2A, 2A):
-    position then velocity; ``speed`` m/s is what ``start_cov`` assumed.
+    position then velocity.
     """
 
     z: Tensor
@@ -208,13 +208,20 @@ def filter_batch(
         # again without them: a gradient that meets one infinity on its way back is lost for every track
         kept = torch.nonzero(~failed)[:, 0]
         partial = run(batch.subset(kept))
-        result = Recursion(*(_spread(value, kept, len(failed)) for value in partial[:4]), failed)
+        result = Recursion(
+            _spread(partial.log_likelihood, kept, len(failed)),
+            _spread(partial.mode_probs, kept, len(failed)),
+            _spread(partial.mean, kept, len(failed)),
+            _spread(partial.cov, kept, len(failed)),
+            failed,
+        )
         if not bool(partial.failed.any()):
             break
         failed = failed.clone()
         failed[kept[partial.failed]] = True
     if bool(failed.all()):
-        return Recursion(*(torch.zeros_like(value) for value in result[:4]), failed)
+        nothing = [torch.zeros_like(value) for value in result[:4]]
+        return Recursion(nothing[0], nothing[1], nothing[2], nothing[3], failed)
     return result._replace(failed=failed)
 
 

@@ -52,7 +52,7 @@ class _Decay(torch.autograd.Function):
         return out
 
     @staticmethod
-    def backward(ctx: Any, bar: Tensor) -> Tensor:  # type: ignore[override]
+    def backward(ctx: Any, bar: Tensor) -> Tensor:
         (g,) = ctx.saved_tensors
         order = torch.arange(8, dtype=g.dtype, device=g.device).reshape(-1, *[1] * (g.ndim - 1))
         return (bar[:8] * (order * g[1:] - g[:8])).sum(0)
@@ -60,7 +60,7 @@ class _Decay(torch.autograd.Function):
 
 def _decay(x: Tensor) -> Tensor:
     """``g_0 .. g_8`` of a decay; the last has no derivative."""
-    return _Decay.apply(x)  # type: ignore[no-any-return, no-untyped-call]
+    return _Decay.apply(x)  # type: ignore[no-untyped-call]
 
 
 def _decayed_noise(x: Tensor, g: Tensor) -> list[Tensor]:

@@ -97,7 +97,7 @@ class _Scan(torch.autograd.Function):
         return outputs
 
     @staticmethod
-    def backward(ctx: Any, *bars: Any) -> Any:  # type: ignore[override]
+    def backward(ctx: Any, *bars: Any) -> Any:
         """Derivatives by the first seven inputs."""
         given, failed, detected = ctx.kept
         value_bar = _array(bars[0])
