@@ -170,7 +170,8 @@ def segment(
         model: what was learned.
         tracks: what was measured; any sensor of the bank.
         sensor: None: that of the tracks, with their noise or the one the model learned.
-        handed: left and right of a mirrored intent are labels of their own.
+        handed: left and right of a mirrored intent are labels of their own, where its births keep to their side (mean
+            turn rate larger than its spread).
         window: around a change point, s; None: four median time steps.
         threads: processor cores; None: all.
 
@@ -209,7 +210,9 @@ def _groups(model: IntentModel, handed: bool) -> tuple[NDArray[np.int64], tuple[
     group = []
     for mode in model.modes:
         name = model.intents[mode.intent].name
-        if handed and model.phase_of(mode).mirrored:
+        phase = model.phase_of(mode)
+        sided = all(abs(birth.turn_mean) > birth.turn_sd for birth in phase.births)
+        if handed and phase.mirrored and sided:
             name += " left" if mode.sign > 0 else " right"
         if name not in names:
             names.append(name)
