@@ -14,7 +14,8 @@ from jink.estimators.motions import constant_velocity, known_turn, polar_turn
 from jink.estimators.recipes import make_estimator
 from jink.estimators.sensors import position
 from jink.estimators.tracks import Tracks
-from jink.intent.forecasting import PositionForecast, forecast, score_forecasts
+from jink.intent.forecast_scores import score_forecasts
+from jink.intent.forecasting import PositionForecast, forecast
 
 SENSOR = position(2, 2.0)
 HORIZONS = np.array([0.5, 1.0, 2.5])

@@ -22,7 +22,8 @@ from jink.intent.pretrained import load_pretrained, pretrained_names
 from jink.intent.progress import Progress
 from jink.training import train_intents as training
 from jink.training.cli import main
-from jink.training.intent_pictures import CurvePoint, draw_model, plot_curve, plot_graph
+from jink.training.intent_graphs import CurvePoint, plot_curve, plot_graph
+from jink.training.intent_pictures import draw_model
 from jink.training.pooling import as_positions, digest_of, gather, pool
 from jink.training.sketch import sketch
 from jink.training.track import TrackRequest

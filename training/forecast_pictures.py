@@ -16,7 +16,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from numpy.typing import NDArray
 
 from jink.intent.forecasting import PositionForecast
-from jink.training.intent_pictures import colour_of
+from jink.training.intent_drawing import colour_of
 
 __all__ = ["plot_forecast"]
 

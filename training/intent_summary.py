@@ -14,7 +14,8 @@ from rich.markup import escape
 from jink.estimators.tracks import Tracks
 from jink.intent.describing import describe_phase
 from jink.intent.model import IntentModel
-from jink.training.intent_pictures import CurvePoint, leaving_rates
+from jink.training.intent_drawing import leaving_rates
+from jink.training.intent_graphs import CurvePoint
 from jink.training.summary import number, plain_table
 
 __all__ = ["print_model", "print_trained", "write_readme"]

@@ -105,8 +105,8 @@ def pool(parts: Sequence[Tracks]) -> Tracks:
     Raises:
         ValueError: they do not go together.
     """
-    for name, values in (("axes", {part.axes for part in parts}), ("noise", {part.noise is None for part in parts})):
-        if len(values) > 1:
+    for name, kinds in (("axes", {part.axes for part in parts}), ("noise", {part.noise is None for part in parts})):
+        if len(kinds) > 1:
             given = ", ".join(f"{part.source} {_said(part, name)}" for part in parts)
             raise ValueError(
                 f"SOURCES: all must have the same {name}; got {given}. "

@@ -8,7 +8,6 @@ import json
 import math
 import os
 import platform
-import shutil
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -20,21 +19,22 @@ from numpy.typing import NDArray
 
 from jink.estimators.tracks import Tracks
 from jink.intent.model import IntentModel
-from jink.intent.model_file import MODEL_FILE, load_model, save_model
+from jink.intent.model_file import save_model
 from jink.intent.progress import Progress
 from jink.training.console import say_when_compiling
-from jink.training.intent_pictures import CurvePoint, plot_clusters, plot_curve, plot_graph, plot_rollouts
+from jink.training.intent_graphs import CurvePoint, plot_curve, plot_graph
+from jink.training.intent_pictures import plot_clusters, plot_rollouts
 from jink.training.intent_summary import write_readme
 from jink.training.models import sensor_for
 from jink.training.pooling import digest_of, gather
 from jink.training.running import run_tracks
 from jink.training.track import TrackRequest
+from jink.training.training_folder import WORK, finish, finished_model, prepare
 from jink.training.training_log import TrainingLog
 
 __all__ = ["PICTURES", "TrainReport", "TrainRequest", "train_intents"]
 
 PICTURES = ("clusters.png", "rollouts.png", "likelihood.png", "graph.png")
-_WORK, _DONE = "checkpoint", "training.json"
 _COMMAND = 1000
 
 
@@ -117,12 +117,12 @@ def train_intents(request: TrainRequest) -> TrainReport:
         tracks = gather(request.sources, request.reading, count=request.tracks, steps=request.steps, seed=request.seed)
         key = _key(request, tracks)
         out = request.out
-        done = _finished(out, key, request.fresh)
+        done = finished_model(out, key, request.fresh)
         if done is not None:
             curve, resolvable = _remembered(done.about)
             return TrainReport(done, tracks, curve, resolvable, out, False, True)
-        work = out / _WORK
-        resumed = _prepare(out, work, key, request.fresh)
+        resumed = prepare(out, key, PICTURES, request.fresh)
+        work = out / WORK
         with TrainingLog(work / "progress.jsonl", out / "tensorboard") as log:
             learner = _make_learner(request, tracks, work / "learner", log)
             learner.fit(tracks)
@@ -132,8 +132,7 @@ def train_intents(request: TrainRequest) -> TrainReport:
         _draw(out, model, tracks, trace, curve)
         resolvable = bool(getattr(learner, "resolvable_", True))
         write_readme(out / "README.md", model, tracks, curve, resolvable, PICTURES)
-        _write(out / _DONE, {"request": key, "finished": True})
-        shutil.rmtree(work, ignore_errors=True)
+        finish(out, key)
     return TrainReport(model, tracks, curve, resolvable, out, resumed, False)
 
 
@@ -179,65 +178,6 @@ def _key(request: TrainRequest, tracks: Tracks) -> str:
     asked = {k: v for k, v in asdict(replace(request, sources=("",))).items() if k not in ("out", "fresh", "reading")}
     text = json.dumps({"asked": asked, "tracks": digest_of(tracks)}, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _finished(out: Path, key: str, fresh: bool) -> IntentModel | None:
-    """The model of an equal training that has ended."""
-    if fresh or not (out / _DONE).is_file() or not (out / MODEL_FILE).is_file():
-        return None
-    return load_model(out) if _read(out / _DONE) == {"request": key, "finished": True} else None
-
-
-def _prepare(out: Path, work: Path, key: str, fresh: bool) -> bool:
-    """Make the folders; returns whether a checkpoint of the same request lies there."""
-    if out.exists() and not out.is_dir():
-        raise ValueError(f"--out: value must be a folder; got {out}, a file. Choose another name.")
-    own = {MODEL_FILE, _DONE, _WORK, "README.md", "tensorboard", *PICTURES}
-    there = {path.name for path in out.iterdir()} if out.is_dir() else set()
-    strange = {name for name in there - own if not name.startswith("weights-")}
-    if strange and not (there & {MODEL_FILE, _DONE, _WORK}):
-        raise ValueError(
-            f"--out: folder must be new, empty or of an earlier training; got {out} with {sorted(strange)[0]} in it. "
-            "Choose another folder."
-        )
-    mark = work / "request.json"
-    if fresh:
-        shutil.rmtree(work, ignore_errors=True)
-    elif mark.is_file():
-        if _read(mark).get("request") == key:
-            return True
-        raise ValueError(
-            f"--out: folder must not hold an unfinished training of other tracks or options; got {out}. "
-            "Give the same options to go on, add --fresh, or choose another folder."
-        )
-    elif (out / _DONE).is_file():
-        raise ValueError(
-            f"--out: folder must not hold a model of other tracks or options; got {out}. "
-            "Add --fresh to replace it, or choose another folder."
-        )
-    try:
-        work.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(
-            f"--out: folder must be writable; got {out} ({error.strerror}). Choose another folder."
-        ) from error
-    (out / _DONE).unlink(missing_ok=True)
-    _write(mark, {"request": key})
-    return False
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError:
-        found = {}
-    return found if isinstance(found, dict) else {}
-
-
-def _write(path: Path, value: dict[str, Any]) -> None:
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    part.write_text(json.dumps(value) + "\n", encoding="utf-8")
-    part.replace(path)
 
 
 def _curve(learner: Any) -> tuple[CurvePoint, ...]:
