@@ -242,6 +242,16 @@ class AdaptiveEstimator(BankEstimator):
             )
         return super().forecast_run(*arguments, **options)
 
+    def states(self, *arguments: Any, **options: Any) -> tuple[State, Estimates]:
+        """What the estimator knows after every row, the noise learnt left out; as `BankEstimator.states`.
+
+        Raises:
+            ValueError: with ``process`` it is not offered.
+        """
+        if self.adaptation.process:
+            raise ValueError("states: process must be False; got True. Take the state of each step, which knows its Q.")
+        return super().states(*arguments, **options)
+
     def smooth(self, *arguments: Any, **options: Any) -> Estimates:
         """Smoothed estimates: every row uses the whole track; as `BankEstimator.smooth`.
 

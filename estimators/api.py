@@ -16,6 +16,7 @@ from jink.estimators.bank import Bank
 from jink.estimators.batches import fill_outside, in_parallel, part_of_inputs, part_of_prior
 from jink.estimators.beginning import begin_at_measurements, locate, take_prior
 from jink.estimators.cycle import advance, advance_one
+from jink.estimators.extrapolation import Extrapolation, extrapolate
 from jink.estimators.forecasting import forecast_states
 from jink.estimators.inputs import Prior, check_inputs
 from jink.estimators.program import Program, make_work
@@ -357,25 +358,73 @@ class BankEstimator:
 
         Arguments and errors as `run` and `forecast`.
         """
-        inputs = check_inputs(self.bank, measurements, times, noise, sensor_states, lengths, caller="forecast_run")
+        states, estimates = self._states(
+            check_inputs(self.bank, measurements, times, noise, sensor_states, lengths, caller="forecast_run"), prior
+        )
+        tracks, rows = estimates.status.shape
+        mean, cov = self.forecast(states, horizon, weights=weights, steps=steps)
+        axes = self.bank.sensor.axes
+        return mean.reshape(tracks, rows, axes), cov.reshape(tracks, rows, axes, axes)
+
+    def states(
+        self,
+        measurements: ArrayLike,
+        times: ArrayLike,
+        noise: ArrayLike | None = None,
+        sensor_states: ArrayLike | None = None,
+        lengths: ArrayLike | None = None,
+        *,
+        prior: Prior | None = None,
+    ) -> tuple[State, Estimates]:
+        """What the estimator knows after every row, to forecast from: arguments and errors as `run`.
+
+        Returns:
+            One `State` of B T tracks, row t of track b at index ``b T + t``, and the `Estimates` of `run`. Where the
+            status is STARTING, or beyond a track's length, the state says nothing.
+        """
+        inputs = check_inputs(self.bank, measurements, times, noise, sensor_states, lengths, caller="states")
+        return self._states(inputs, prior)
+
+    def extrapolate(self, state: State, horizons: ArrayLike) -> Extrapolation:
+        """Positions to come, apart by the mode now and the mode then: see `jink.estimators.extrapolation`.
+
+        Args:
+            state: from `start`, `step` or `states`; B tracks.
+            horizons: seconds ahead, (H,) or (B, H); >= 0, not decreasing.
+
+        Returns:
+            weights (B, H, M, M), means (B, H, M, M, A) in m, covariances (B, H, M, M, A, A) in m^2.
+
+        Raises:
+            ValueError: a state of another bank, or horizons that are negative, infinite or decrease.
+        """
+        self._check_state(state, "extrapolate")
+        ahead = np.atleast_1d(np.asarray(horizons, dtype=np.float64))
+        fits = ahead.ndim == 1 or (ahead.ndim == 2 and len(ahead) == len(state.time))
+        if not (fits and ahead.size and np.isfinite(ahead).all() and (np.diff(ahead, prepend=0.0) >= 0).all()):
+            raise ValueError(
+                "extrapolate: horizons must be seconds >= 0, finite, not decreasing, with shape (H,) or "
+                f"({len(state.time)}, H); got {horizons!r}. Use np.arange(1, 21) * dt."
+            )
+        return extrapolate(self, state, ahead)
+
+    def _states(self, inputs: Inputs, prior: Prior | None) -> tuple[State, Estimates]:
         state, outputs, history = self._filter(inputs, prior, True, None)
-        tracks, rows = outputs.status.shape
-        many = tracks * rows
+        many = outputs.status.size
 
         def flat(array: Floats) -> Floats:
             return np.ascontiguousarray(array.reshape(many, *array.shape[2:]))
 
-        states = state._replace(
+        states = self._blank(many)._replace(
             mean=flat(history.mean),
             cov=flat(history.cov),
             mode_probs=flat(outputs.mode_probs),
             kin_mean=flat(outputs.kin_mean),
             kin_cov=flat(outputs.kin_cov),
-            time=np.zeros(many),
+            time=flat(np.broadcast_to(inputs.times, outputs.status.shape)),
+            layout=state.layout,
         )
-        mean, cov = self.forecast(states, horizon, weights=weights, steps=steps)
-        axes = self.bank.sensor.axes
-        return mean.reshape(tracks, rows, axes), cov.reshape(tracks, rows, axes, axes)
+        return states, self._estimates(inputs, outputs)
 
     @cached_property
     def _noise(self) -> Floats:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 from jink.estimators.adaptive_estimator import AdaptiveEstimator, NoiseAdaptation
 from jink.estimators.api import BankEstimator
@@ -28,7 +29,7 @@ from jink.estimators.motions import (
 from jink.estimators.sensor import Sensor
 from jink.estimators.treatments import Adaptive, HeavyTails, Uncertain
 
-__all__ = ["RECIPES", "Scales", "make_estimator"]
+__all__ = ["LEARNED", "RECIPES", "LearnedModel", "Scales", "make_estimator"]
 
 ROBUST_FACTORS = ("mr", "huber", "rma", "mahalanobis")
 _STAY = 0.9
@@ -226,6 +227,22 @@ ADAPTATIONS: dict[str, NoiseAdaptation] = {
 """Recipes whose one mode learns its noise -> how."""
 
 
+class LearnedModel(Protocol):
+    """What was learned from tracks and knows its own scales, for instance `jink.intent.IntentModel`."""
+
+    def bank(self, sensor: Sensor) -> Bank:
+        """Its modes before a sensor."""
+        ...
+
+
+def _as_learned(bank: Bank) -> Bank:
+    return bank
+
+
+LEARNED: dict[str, Callable[[Bank], Bank]] = {"intent-imm": _as_learned, "joint-imm": joint_bank}
+"""Recipes that take a learned model -> what they make of its bank."""
+
+
 def make_estimator(
     name: str,
     sensor: Sensor,
@@ -235,25 +252,42 @@ def make_estimator(
     turn_rate: float | None = None,
     sojourn: float = 10.0,
     threads: int | None = None,
+    model: LearnedModel | None = None,
 ) -> BankEstimator:
     """An estimator by name.
 
     Args:
         name: one of `RECIPES`.
         sensor: what is measured; its axes are the estimator's.
-        acceleration, speed, turn_rate, sojourn: see `Scales`.
+        acceleration, speed, turn_rate, sojourn: see `Scales`; not used with a ``model``, which has its own.
         threads: processor cores for many tracks; None: all.
+        model: learned intents instead of those of the recipe; only for recipes in `LEARNED`.
 
     Returns:
         A `BankEstimator` (an `AdaptiveEstimator` where the recipe learns its noise).
 
     Raises:
-        ValueError: an unknown name, or a scale that is not positive.
+        ValueError: an unknown name, a scale that is not positive, or a model where none can be used.
     """
     if name not in RECIPES:
         raise ValueError(f"make_estimator: name must be one of {', '.join(RECIPES)}; got {name!r}. See `jink list`.")
+    if model is not None:
+        return BankEstimator(_learned_bank(name, sensor, model), name=name, threads=threads)
     scales = Scales(acceleration=acceleration, speed=speed, turn_rate=turn_rate, sojourn=sojourn)
     bank = RECIPES[name](sensor, scales)
     if name in ADAPTATIONS:
         return AdaptiveEstimator(bank, ADAPTATIONS[name], name=name, threads=threads)
     return BankEstimator(bank, name=name, threads=threads)
+
+
+def _learned_bank(name: str, sensor: Sensor, model: LearnedModel) -> Bank:
+    if name not in LEARNED:
+        raise ValueError(
+            f"make_estimator: model must be left out for {name}; got one. Recipes that take one: {', '.join(LEARNED)}."
+        )
+    if not hasattr(model, "bank"):
+        raise ValueError(
+            f"make_estimator: model must have a method bank(sensor); got {model!r}. "
+            "Load it first: jink.intent.model_file.load_model(folder)."
+        )
+    return LEARNED[name](model.bank(sensor))

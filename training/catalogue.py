@@ -21,7 +21,7 @@ SUITES = {
 
 
 def print_catalogue(console: Console) -> None:
-    """Print estimators, motions, sensors, environments, intents, surges, scenarios, scenes and suites."""
+    """Print every registry: estimators, learned models, motions, sensors, environments, scenarios, suites."""
     from jink.envs.intents import INTENTS
     from jink.envs.published import SCENARIOS as PUBLISHED
     from jink.envs.registration import ENVIRONMENTS
@@ -33,8 +33,10 @@ def print_catalogue(console: Console) -> None:
     from jink.estimators.motions import MOTIONS
     from jink.estimators.recipes import RECIPES
     from jink.estimators.sensors import SENSORS
+    from jink.intent.pretrained import pretrained_names
 
     _print_section(console, "estimators", {name: _first_line(make) for name, make in RECIPES.items()})
+    _print_section(console, "learned models", {name: _model(name) for name in pretrained_names()})
     _print_section(console, "motions", {name: _first_line(make) for name, make in MOTIONS.items()})
     _print_section(console, "sensors", {name: _first_line(make) for name, make in SENSORS.items()})
     _print_section(console, "environments", {name: _environment(options) for name, options in ENVIRONMENTS.items()})
@@ -55,6 +57,16 @@ def _print_section(console: Console, title: str, lines: Mapping[str, str]) -> No
     for name, line in lines.items():
         table.add_row(name, escape(line))
     console.print(table)
+
+
+def _model(name: str) -> str:
+    """Its intents and where they were learned."""
+    from jink.intent.pretrained import load_pretrained
+
+    model = load_pretrained(name)
+    tracks = model.about.get("tracks")
+    source = tracks.get("source") if isinstance(tracks, dict) else "unknown tracks"
+    return f"{', '.join(intent.name for intent in model.intents)} ({model.axes} axes, from {source})"
 
 
 def _environment(options: Mapping[str, Any]) -> str:

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from jink.training.cli_intents import add_commands
 from jink.training.console import run_command, say_when_compiling, screen
 
 __all__ = ["app", "main"]
@@ -37,6 +38,8 @@ Examples:
   jink track radar.csv --sigma sigma_range=10,sigma_bearing=0.005 --degrees
 
   jink track flight.csv --where fresh=1 --columns z=alt_m --smooth --out flight.csv
+
+  jink track radar.csv --estimator intent-imm --model model/
 """
 _READING, _MODEL, _OUTPUT = "Reading the file", "What is assumed", "What comes out"
 
@@ -45,6 +48,10 @@ _READING, _MODEL, _OUTPUT = "Reading the file", "What is assumed", "What comes o
 def track_command(
     file: Annotated[Path, typer.Argument(help="CSV or Parquet file of measurements.", metavar="FILE")],
     estimator: Annotated[str, typer.Option("--estimator", "-e", help="Name from 'jink list'.")] = "imm",
+    model: Annotated[
+        str | None,
+        typer.Option(help="Learned intents: a folder of jink train, or a name.", rich_help_panel=_MODEL),
+    ] = None,
     columns: Annotated[
         str, typer.Option(help="Our names to the file's: t=time,x=east,y=north.", rich_help_panel=_READING)
     ] = "",
@@ -120,6 +127,7 @@ def track_command(
         TrackRequest(
             file=file,
             estimator=estimator,
+            model=model,
             columns=columns,
             truth=truth,
             truth_columns=truth_columns,
@@ -264,6 +272,9 @@ def check_command(
         raise ValueError(f"--env: id must be one that Gymnasium knows; got '{env}'. {error}") from error
     print_check(report, screen())
     return int(not report.ok)
+
+
+add_commands(app)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

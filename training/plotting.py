@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,13 +35,16 @@ _MARGIN = 0.06
 _PANEL_RATIO = 1.3
 
 
-def plot_track(path: Path, report: TrackReport, shown: str | None = None) -> None:
+def plot_track(
+    path: Path, report: TrackReport, shown: str | None = None, changes: Sequence[tuple[float, float]] = ()
+) -> None:
     """Draw map, height (three axes), error (with truth) and mode ribbon of one track.
 
     Args:
         path: .png, .pdf or .svg; replaced if it exists, whole or not at all.
         report: what `track` returned.
         shown: name of the track; None: the one with most rows.
+        changes: time, s, and probability of each change to mark above the ribbon.
 
     Raises:
         ValueError: no such track.
@@ -81,6 +85,9 @@ def plot_track(path: Path, report: TrackReport, shown: str | None = None) -> Non
             axes["error"].set(ylabel="error, m", ylim=(0, None))
         if "modes" in axes:
             _draw_ribbon(axes["modes"], report, b, T, clock)
+            at = np.interp([time for time, _ in changes], tracks.times[b, :T], clock)
+            for place, (_, probability) in zip(at, changes, strict=True):
+                axes["modes"].plot([place, place], [1.0, 1.05 + 0.25 * probability], "k-", lw=1.0, clip_on=False)
         for name in strips:
             axes[name].set_xlim(clock[0], clock[-1] if clock[-1] > clock[0] else clock[0] + 1)
             axes[name].tick_params(labelbottom=name == strips[-1])

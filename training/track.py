@@ -19,6 +19,7 @@ from jink.estimators.sensor import Sensor
 from jink.estimators.tracks import Tracks
 from jink.training.console import check_separate, check_writable, progress, say_when_compiling
 from jink.training.doubts import doubts_about
+from jink.training.models import find_model
 from jink.training.options import parse_numbers, parse_pairs, parse_sigma
 from jink.training.running import Forecast, forecast_ends, gate_tracks, raw_positions, run_tracks
 from jink.training.tuning import sensor_of, tune
@@ -55,6 +56,7 @@ class TrackRequest:
     gate: bool = False
     smooth: bool = False
     forecast: float | None = None
+    model: str | None = None
     out: Path | None = None
     plot: Path | None = None
     shown: str | None = None
@@ -107,11 +109,16 @@ def track(request: TrackRequest) -> TrackReport:
         ValueError: an option, a cell or a name that is refused, in one sentence.
         OSError: a file that cannot be read or written.
     """
-    from jink.estimators.recipes import RECIPES
+    from jink.estimators.recipes import LEARNED, RECIPES
 
     if request.estimator not in RECIPES:
         raise ValueError(
             f"--estimator: name must be one of {', '.join(RECIPES)}; got '{request.estimator}'. See jink list."
+        )
+    if request.model is not None and request.estimator not in LEARNED:
+        raise ValueError(
+            f"--model: value must come with --estimator {' or '.join(LEARNED)}; got --estimator {request.estimator}. "
+            "Change one of them."
         )
     check_writable(request.out, "--out", (".parquet", ".csv"))
     check_writable(request.plot, "--plot", (".png", ".pdf", ".svg"))
@@ -249,9 +256,38 @@ def _columns(text: str, name: str) -> dict[str, str] | None:
 
 
 def choose(request: TrackRequest, tracks: Tracks) -> Choice:
-    """Sensor and scales: given, from the file, estimated from it, or a default."""
+    """Sensor and scales: given, from the file, learned, estimated from it, or a default."""
     with _named(request):
-        return _choose(request, tracks)
+        return _choose(request, tracks) if request.model is None else _choose_learned(request, request.model, tracks)
+
+
+def _choose_learned(request: TrackRequest, name: str, tracks: Tracks) -> Choice:
+    """A model knows its own scales; what is left is the sensor."""
+    model = find_model(name, axes=tracks.axes)
+    for option in ("acceleration", "speed", "turn_rate", "sojourn"):
+        if getattr(request, option) is not None:
+            raise ValueError(
+                f"--{option.replace('_', '-')}: option must be left out with --model, which has its own; got "
+                f"{getattr(request, option):g}. Leave it out."
+            )
+    plain = sensor_of(tracks)
+    use_noise = tracks.noise is not None and request.sigma is None
+    if request.sigma is not None:
+        sigma, origin = parse_sigma(request.sigma, plain), "given"
+    elif use_noise:
+        sigma, origin = (1.0,) * plain.size, "file"
+    elif model.noise_sd is not None and tracks.sensor == "position":
+        sigma, origin = model.noise_sd, "model"
+    else:
+        with progress("choosing noise from the file") as advance:
+            sigma, origin = tune(tracks, advance=advance).sigma, "tuned"
+    found = [
+        Parameter(f"sigma_{label.replace(' ', '_')}", value, unit, origin)
+        for label, value, unit in zip(plain.labels, sigma, plain.units, strict=True)
+    ]
+    found.append(Parameter("speed", model.speed, "m/s", "model"))
+    found.append(Parameter("intents", float(len(model.intents)), "", "model"))
+    return Choice(sensor_of(tracks, sigma), {"model": model}, tuple(found), use_noise)
 
 
 def _choose(request: TrackRequest, tracks: Tracks) -> Choice:

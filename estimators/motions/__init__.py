@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 from jink.estimators.motion import Motion
+from jink.estimators.motions.bilinear import bilinear
 from jink.estimators.motions.cartesian import constant_acceleration, constant_velocity
 from jink.estimators.motions.correlated import jerk, singer
 from jink.estimators.motions.drag import drag_coast
@@ -23,6 +24,7 @@ from jink.estimators.motions.weave import swing, weave
 
 __all__ = [
     "MOTIONS",
+    "bilinear",
     "circle",
     "constant_acceleration",
     "constant_velocity",
@@ -53,6 +55,7 @@ MOTIONS: dict[str, Callable[..., Motion]] = {
     "drag-coast": drag_coast,
     "spatial-turn": spatial_turn,
     "helix": helix,
+    "bilinear": bilinear,
 }
 
 

@@ -1,0 +1,68 @@
+"""Intents in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from jink.intent.laws import Phase
+
+__all__ = ["describe_intent", "describe_phase"]
+
+_STILL_TURN = math.radians(0.5)  # rad/s: slower than this nobody calls a turn
+_STILL_GROWTH = 0.005  # 1/s
+_RIVAL = 3.0
+
+
+def describe_intent(number: int, name: str, phases: Sequence[Phase], leaving: float, share: float) -> str:
+    """One line: what it does, for how long, how often.
+
+    Args:
+        number: shown first.
+        name: shown if it says more than the number.
+        phases: of the intent.
+        leaving: rate at which its last phase ends; 1/s.
+        share: of the time in the long run.
+    """
+    label = f"intent {number}" if name in (f"intent {number}", str(number)) else f"intent {number} ({name})"
+    doing = ", then ".join(describe_phase(phase) for phase in phases)
+    lasting = math.fsum(phase.duration for phase in phases[:-1]) + (1.0 / leaving if leaving > 0 else math.inf)
+    spell = f"lasts {_short(lasting)} s" if lasting < 1e6 else "never ends"
+    return f"{label}: {doing}, {spell}, {100 * share:.0f} % of the time"
+
+
+def describe_phase(phase: Phase) -> str:
+    """What a target does in one phase."""
+    law = phase.law
+    low_turn, high_turn, sign = _span([(b.turn_mean, b.turn_sd) for b in phase.births], law.turn_mean)
+    low, high, growing = _span([(b.growth_mean, b.growth_sd) for b in phase.births], law.growth_mean)
+    if law.swing is not None:
+        period = 2.0 * math.pi / law.swing[0]
+        return f"weave of {_short(period)} s, up to {_short(math.degrees(high_turn))} deg/s"
+    parts = []
+    turning, changing = high_turn > _STILL_TURN, high > _STILL_GROWTH
+    if turning and changing:
+        turning, changing = high_turn * _RIVAL > high, high * _RIVAL > high_turn
+    if turning:
+        side = "either way" if phase.mirrored or sign == 0 else ("to the left" if sign > 0 else "to the right")
+        parts.append(f"turn, {_range(math.degrees(low_turn), math.degrees(high_turn))} deg/s {side}")
+    if changing:
+        word = "speed up or slow down" if growing == 0 else ("speed up" if growing > 0 else "slow down")
+        parts.append(f"{word}, {_range(100 * low, 100 * high)} %/s")
+    return " and ".join(parts) or "straight"
+
+
+def _span(components: Sequence[tuple[float, float]], mean: float) -> tuple[float, float, int]:
+    """Smallest and largest size within one standard deviation, and the common sign (0: both occur)."""
+    low = min(max(abs(centre) - sd, 0.0) for centre, sd in components)
+    high = max(max(abs(centre) + sd for centre, sd in components), abs(mean))
+    signs = {0 if abs(centre) <= sd else int(math.copysign(1, centre)) for centre, sd in components}
+    return low, high, signs.pop() if len(signs) == 1 else 0
+
+
+def _range(low: float, high: float) -> str:
+    return f"{_short(low)}-{_short(high)}" if _short(low) != _short(high) else _short(high)
+
+
+def _short(value: float) -> str:
+    return f"{value:.2g}" if value < 100 else f"{value:.0f}"

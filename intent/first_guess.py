@@ -1,0 +1,158 @@
+"""Where learning begins: more intents than there will be, laid over what windows of the tracks say."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jink.estimators.tracks import Tracks
+from jink.intent.features import Features, encode
+from jink.intent.joining import settled
+from jink.intent.laws import Birth, Law, Phase
+from jink.intent.model import Intent, IntentModel
+from jink.intent.sizes import Sizes
+from jink.intent.window import choose_window
+
+__all__ = ["Guess", "add_weave", "first_intents", "guess", "one_intent"]
+
+Floats = NDArray[np.float64]
+_SPELLS = 6.0
+_WINDOW = 0.15  # of a piece: a longer window would hold more than one spell
+_SLOW = 3.0  # standard deviations of speed
+
+
+class Guess(NamedTuple):
+    """Windows of the tracks, sizes of what is in them, and how strongly each shape parameter shows."""
+
+    features: Features
+    sizes: Sizes
+    growths: Floats
+    turns: Floats
+
+
+def guess(tracks: Tracks, noise_sd: float | None = None) -> Guess:
+    """What the tracks say before any filter has run."""
+    steps = np.diff(tracks.times, axis=1)
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+    last = tracks.times[np.arange(len(tracks)), np.maximum(tracks.lengths - 1, 0)]
+    duration = float(np.median(last - tracks.times[:, 0])) or step
+    window = min(choose_window(tracks, noise_sd), max(_WINDOW * duration, 5.0 * step))
+    features = encode(tracks, window, noise_sd)
+    sound = features.valid & (features.speed_ratio > _SLOW)
+    speeds = np.linalg.norm(features.velocity[features.valid], axis=-1)
+    eta, variance = features.eta[sound], np.diagonal(features.eta_cov, axis1=-2, axis2=-1)[sound]
+    if len(eta) < 10:
+        eta, variance = np.zeros((10, features.eta.shape[-1])), np.ones((10, features.eta.shape[-1]))
+    turn = np.linalg.norm(eta[:, 1:], axis=1) if tracks.axes == 3 else eta[:, 1]
+    turn_variance = variance[:, 1:].mean(axis=1)
+    growths = eta[:, 0][eta[:, 0] ** 2 > 4.0 * variance[:, 0]]
+    turns = np.abs(turn[turn**2 > 4.0 * turn_variance * (1 if tracks.axes == 2 else 3)])
+    speed = float(np.sqrt(np.mean(np.square(speeds)))) if speeds.size else 1.0
+    least = 0.01 / max(duration, step)
+    growth = float(np.quantile(np.abs(growths), 0.75)) if growths.size > 20 else least
+    turning = float(np.quantile(turns, 0.75)) if turns.size > 20 else least
+    speed = max(speed, 1e-9)
+    sizes = Sizes(speed, max(growth, least), max(turning, least), speed * max(growth, turning, least), duration, step)
+    return Guess(features, sizes, growths, turns)
+
+
+def _law(axes: int, sizes: Sizes, quiet: float, drift: float, swing: tuple[float, float] | None = None) -> Law:
+    turn_noise = drift**2 * sizes.turn**2 / sizes.duration
+    if swing is not None:
+        turn_noise = 4.0 * swing[1] * swing[0] ** 3 * (0.3 * sizes.turn) ** 2
+    return Law(
+        axes,
+        growth_noise=drift**2 * sizes.growth**2 / sizes.duration,
+        turn_noise=turn_noise,
+        wobble=(quiet * sizes.acceleration) ** 2 * sizes.step,
+        swing=swing,
+    )
+
+
+def first_intents(found: Guess, axes: int, most: int = 7) -> IntentModel:
+    """Straight, slow and fast turns, weak and strong speeding up and slowing down.
+
+    Left and right are one intent from the start. Up and down are not: they may be laws of their own.
+
+    Args:
+        found: from `guess`.
+        axes: 2 or 3.
+        most: intents, 1 to 7.
+    """
+    sizes = found.sizes
+
+    def level(values: Floats, q: float, size: float) -> float:
+        return float(np.quantile(values, q)) if values.size > 20 else q * size
+
+    up, down = found.growths[found.growths > 0], -found.growths[found.growths < 0]
+    still_g, still_w = 0.1 * sizes.growth, 0.1 * sizes.turn
+    lively = _law(axes, sizes, 0.05, 0.4)
+    flat = axes == 2
+    births = [(Birth(1.0, 0.0, still_g, 0.0, still_w), False)]
+    for q in (0.8, 0.25):
+        rate = level(found.turns, q, sizes.turn)
+        births.append((Birth(1.0, 0.0, still_g, rate if flat else 0.0, 0.4 * rate if flat else rate), flat))
+    for q in (0.35, 0.85):
+        for values, sign in ((up, 1.0), (down, -1.0)):
+            middle = level(values, q, sizes.growth)
+            births.append((Birth(1.0, sign * middle, 0.5 * middle, 0.0, still_w), False))
+    births.append(births.pop(2))  # slow turns come last: the first to go where few intents are wanted
+    made = [
+        Intent(chr(ord("a") + k), (Phase(lively, (birth,), mirrored=sided),))
+        for k, (birth, sided) in enumerate(births[:most])
+    ]
+    return _with_chain(axes, tuple(made), sizes)
+
+
+def add_weave(model: IntentModel, sizes: Sizes, period: float) -> IntentModel:
+    """The model with one more intent that weaves with about that period, s; it takes a share of every switch."""
+    natural = 2.0 * math.pi / period
+    birth = Birth(1.0, 0.0, 0.1 * sizes.growth, 0.0, sizes.turn, swing_sd=0.5 * sizes.turn * natural)
+    law = _law(model.axes, sizes, 0.05, 0.4, (natural, 0.05))
+    name = next(chr(ord("a") + k) for k in range(26) if chr(ord("a") + k) not in [i.name for i in model.intents])
+    count = len(model.intents)
+    old = np.array(model.generator)
+    rates = np.zeros((count + 1, count + 1))
+    leaving = -np.diag(old) if count > 1 else np.full(1, _SPELLS / sizes.duration)
+    share = 1.0 / (count + 1)
+    rates[:count, :count] = (old - np.diag(np.diag(old))) * (1.0 - share)
+    rates[:count, count] = leaving * (share if count > 1 else 1.0)
+    rates[count, :count] = float(leaving.mean()) / count
+    np.fill_diagonal(rates, -rates.sum(axis=1))
+    made = model.with_(
+        intents=(*model.intents, Intent(name, (Phase(law, (birth,)),))),
+        generator=tuple(map(tuple, rates.tolist())),
+        initial=(*(np.array(model.initial) * (1.0 - share)).tolist(), share),
+    )
+    return settled(made)
+
+
+def one_intent(found: Guess, axes: int) -> IntentModel:
+    """A single intent that does everything: shape parameters that forget themselves."""
+    sizes = found.sizes
+    rate = _SPELLS / sizes.duration
+    law = Law(
+        axes,
+        growth_rate=rate,
+        growth_noise=2.0 * rate * sizes.growth**2 * 0.25,
+        turn_rate=rate,
+        turn_noise=2.0 * rate * sizes.turn**2 * 0.25,
+        wobble=(0.1 * sizes.acceleration) ** 2 * sizes.step,
+    )
+    birth = Birth(1.0, 0.0, 0.5 * sizes.growth, 0.0, 0.5 * sizes.turn)
+    return _with_chain(axes, (Intent("a", (Phase(law, (birth,)),)),), sizes)
+
+
+def _with_chain(axes: int, intents: tuple[Intent, ...], sizes: Sizes) -> IntentModel:
+    count = len(intents)
+    rate = _SPELLS / sizes.duration
+    generator = np.full((count, count), rate / max(count - 1, 1))
+    np.fill_diagonal(generator, 0.0)
+    np.fill_diagonal(generator, -generator.sum(axis=1))
+    model = IntentModel(
+        axes, intents, tuple(map(tuple, generator.tolist())), (), None, speed=sizes.speed / math.sqrt(axes)
+    )
+    return settled(model)
