@@ -159,11 +159,11 @@ def by_intents(recording: Recording, count: int | None, seed: int, seconds: floa
 
 
 def by_clusters(recording: Recording, count: int | None, seed: int, seconds: float) -> tuple[Segmentation, str]:
-    """Segment, then cluster; left and right are told apart by the side of each row."""
+    """Segment, then cluster; left and right of turning clusters are labels."""
     made = SegmentCluster(count, seed=seed).fit(with_noise(recording))
     mean = made.mean_
     words = "; ".join(f"{100 * g:.1f} %/s, {np.degrees(w):.1f} deg/s" for g, w in mean)
-    return made.segment(with_noise(recording)), words
+    return made.segment(with_noise(recording), handed=True), words
 
 
 def by_regression(recording: Recording, count: int | None, seed: int, seconds: float) -> tuple[Segmentation, str]:
