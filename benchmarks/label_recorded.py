@@ -159,11 +159,11 @@ def by_intents(recording: Recording, count: int | None, seed: int, seconds: floa
 
 
 def by_clusters(recording: Recording, count: int | None, seed: int, seconds: float) -> tuple[Segmentation, str]:
-    """Segment, then cluster; left and right are told apart by the side of each row."""
+    """Segment, then cluster; left and right of turning clusters are labels."""
     made = SegmentCluster(count, seed=seed).fit(with_noise(recording))
     mean = made.mean_
     words = "; ".join(f"{100 * g:.1f} %/s, {np.degrees(w):.1f} deg/s" for g, w in mean)
-    return made.segment(with_noise(recording)), words
+    return made.segment(with_noise(recording), handed=True), words
 
 
 def by_regression(recording: Recording, count: int | None, seed: int, seconds: float) -> tuple[Segmentation, str]:
@@ -209,7 +209,12 @@ def main() -> None:
         for method in options.methods.split(","):
             for seed in range(options.seeds):
                 began = time.perf_counter()
-                found, words = METHODS[method](recording, options.intents, seed, options.seconds)
+                try:
+                    found, words = METHODS[method](recording, options.intents, seed, options.seconds)
+                except ValueError as refusal:
+                    rows.append({"data": name, "method": method, "seed": seed, "status": f"refused: {refusal}"})
+                    console.print(f"{name} {method} {seed}: {refusal}", highlight=False)
+                    continue
                 spent = time.perf_counter() - began
                 score = score_segmentation(found, recording.labels, recording.tolerance_s)
                 rows.append(_row(name, method, seed, found, score, words, spent))
@@ -230,7 +235,8 @@ def _row(
     name: str, method: str, seed: int, found: Segmentation, score: SegmentationScore, words: str, spent: float
 ) -> dict[str, Any]:
     return {
-        "data": name, "method": method, "seed": seed, "labels": found.probs.shape[2], "seconds": round(spent, 1),
+        "data": name, "method": method, "seed": seed, "status": "ok",
+        "labels": found.probs.shape[2], "seconds": round(spent, 1),
         "described": words, **score._asdict(),
     }  # fmt: skip
 

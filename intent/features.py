@@ -85,7 +85,8 @@ class Features(NamedTuple):
     def speed_ratio(self) -> Floats:
         """Speed over its standard deviation: below about 3 the shape parameters mean little; (B, T)."""
         spread = np.trace(self.velocity_cov, axis1=-2, axis2=-1) / self.axes
-        return np.asarray(np.linalg.norm(self.velocity, axis=-1) / np.sqrt(spread))
+        speed = np.sqrt(np.sum(self.velocity**2, axis=-1))
+        return np.asarray(speed / np.sqrt(np.where(spread > 0.0, spread, np.nan)))
 
 
 def eta_labels(axes: int) -> tuple[str, ...]:
@@ -138,18 +139,18 @@ def encode(
         s = np.where(inside, tracks.times[b[:, None], index] - middle[:, None], 0.0)
         W = weights[b[:, None], index] * inside[..., None, None]
         z = values[b[:, None], index]
-        jet, jet_cov, chi2 = _fit(s, z, W)
+        jet, jet_cov, chi2, curved = _fit(s, z, W)
         measured = (np.trace(W, axis1=-2, axis2=-1) > 0).sum(axis=1) * A
         free = np.maximum(measured - 3 * A, 0)
-        mean[b, t], cov[b, t] = _shape(jet, jet_cov, tracks.times[b, t] - middle)
+        mean[b, t], cov[b, t] = _shape(jet, jet_cov, tracks.times[b, t] - middle, curved)
         mean[b, t, :A] += centre
         misfit[b, t], dof[b, t] = chi2 / np.maximum(free, 1), free
     valid = (dof > 0) & np.isfinite(misfit) & np.isfinite(cov).all(axis=(2, 3)) & np.isfinite(mean).all(axis=2)
     return Features(mean, cov, misfit, np.where(valid, dof, 0), float(window), tracks.times, valid)
 
 
-def _fit(s: Floats, z: Floats, W: Floats) -> tuple[Floats, Floats, Floats]:
-    """Jets (K, 3 A) of windows, their covariances and chi-square; ``s`` (K, W), ``z`` (K, W, A), ``W`` (K, W, A, A).
+def _fit(s: Floats, z: Floats, W: Floats) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
+    """Jets (K, 3 A) of windows, covariances, chi-square, and which are arcs; ``s`` (K, W), ``z`` (K, W, A), ``W``.
 
     First the parabola, then Gauss-Newton on the arc, which is refused only where the steps ran away: to choose the
     better of the two fits would bias both.
@@ -162,10 +163,9 @@ def _fit(s: Floats, z: Floats, W: Floats) -> tuple[Floats, Floats, Floats]:
     jet, cov, gain = _solve(parabola, z, W)
     information = np.trace(W.sum(axis=1), axis1=1, axis2=2)
     chi2 = _chi_square(z, W) - gain
-    v, a = jet[:, A : 2 * A], jet[:, 2 * A :]
+    v = jet[:, A : 2 * A]
     certain = np.sum(v * v, axis=1) > _CERTAIN**2 * np.trace(cov[:, A : 2 * A, A : 2 * A], axis1=1, axis2=2)
-    gentle = np.sum(a * a, axis=1) < _LARGEST_ANGLE**2 * np.sum(v * v, axis=1)
-    moving = np.flatnonzero(certain & gentle)
+    moving = np.flatnonzero(certain & _gentle(jet))
     bent = (jet.copy(), cov.copy(), np.full(K, np.inf))
     for _ in range(_REFITS):
         if not moving.size:
@@ -175,7 +175,9 @@ def _fit(s: Floats, z: Floats, W: Floats) -> tuple[Floats, Floats, Floats]:
         residual = z[moving] - start[:, None, :A] - d
         step, bent[1][moving], gain = _solve(np.concatenate([eye[moving], by_v, by_a], axis=3), residual, W[moving])
         bent[0][moving], bent[2][moving] = start + step, _chi_square(residual, W[moving]) - gain
-        moving = moving[gain > _CONVERGED]
+        gentle = _gentle(bent[0][moving])
+        bent[2][moving[~gentle]] = np.inf
+        moving = moving[gentle & (gain > _CONVERGED)]
     sound = bent[2] <= 2.0 * chi2 + _RUNAWAY
     sound &= np.isfinite(bent[0]).all(axis=1)
     for plain, refined in zip((jet, cov, chi2), bent, strict=True):
@@ -183,7 +185,14 @@ def _fit(s: Floats, z: Floats, W: Floats) -> tuple[Floats, Floats, Floats]:
     singular = np.max(cov[:, range(3 * A), range(3 * A)], axis=1) * information > _SINGULAR
     jet[singular], chi2[singular] = 0.0, np.nan
     units = np.repeat(np.stack([np.ones(K), 1.0 / unit, 1.0 / unit**2], axis=1), A, axis=1)
-    return np.asarray(jet * units), cov * units[:, :, None] * units[:, None, :], chi2
+    return np.asarray(jet * units), cov * units[:, :, None] * units[:, None, :], chi2, sound & ~singular
+
+
+def _gentle(jet: Floats) -> NDArray[np.bool_]:
+    """Jets in units of half a window that turn or grow little enough for an arc."""
+    A = jet.shape[1] // 3
+    v, a = jet[:, A : 2 * A], jet[:, 2 * A :]
+    return np.asarray(np.sum(a * a, axis=1) < _LARGEST_ANGLE**2 * np.sum(v * v, axis=1))
 
 
 def _solve(design: Floats, residual: Floats, W: Floats) -> tuple[Floats, Floats, Floats]:
@@ -206,10 +215,17 @@ def _chi_square(residual: Floats, W: Floats) -> Floats:
     return np.asarray(np.einsum("kwa,kwab,kwb->k", residual, W, residual, optimize=True))
 
 
-def _shape(jet: Floats, jet_cov: Floats, ahead: Floats) -> tuple[Floats, Floats]:
-    """(p, v, eta) and covariance of jets (K, 3 A), ``ahead`` (K,) seconds along their arcs, where eta stays."""
-    A = jet.shape[1] // 3
-    place, J = carried(jet, ahead)
+def _shape(jet: Floats, jet_cov: Floats, ahead: Floats, curved: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """(p, v, eta) and covariance of jets (K, 3 A), ``ahead`` (K,) seconds on, along arcs or parabolas."""
+    K, A = jet.shape[0], jet.shape[1] // 3
+    s = np.where(curved, 0.0, ahead)[:, None, None] * np.eye(A)
+    J = np.zeros((K, 2 * A, 3 * A))
+    J[:, range(2 * A), range(2 * A)] = 1.0
+    J[:, :A, A : 2 * A], J[:, :A, 2 * A :], J[:, A:, 2 * A :] = s, 0.5 * s @ s, s
+    place = (J @ jet[..., None])[..., 0]
+    moved = np.flatnonzero(curved & (ahead != 0.0))
+    place[moved], J[moved] = carried(jet[moved], ahead[moved])
     eta, J_eta = shape_of(jet[:, A : 2 * A], jet[:, 2 * A :])
     J = np.concatenate([J, np.concatenate([np.zeros((*eta.shape, A)), J_eta], axis=2)], axis=1)
-    return np.concatenate([place, eta], axis=1), J @ jet_cov @ J.swapaxes(-1, -2)
+    with np.errstate(over="ignore", invalid="ignore"):  # a target at rest has no eta: its row is not valid
+        return np.concatenate([place, eta], axis=1), J @ jet_cov @ J.swapaxes(-1, -2)

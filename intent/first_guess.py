@@ -16,10 +16,13 @@ from jink.intent.model import Intent, IntentModel
 from jink.intent.sizes import Sizes
 from jink.intent.window import choose_window
 
-__all__ = ["Guess", "add_weave", "first_intents", "guess", "one_intent"]
+__all__ = ["STILL", "Guess", "first_intents", "guess", "law_like", "level", "one_intent"]
 
 Floats = NDArray[np.float64]
 _SPELLS = 6.0
+_QUIET, _DRIFT = 0.05, 0.4
+STILL = 0.1
+"""Spread of a shape parameter that an intent leaves at zero, as a share of its typical size."""
 _WINDOW = 0.15  # of a piece: a longer window would hold more than one spell
 _SLOW = 3.0  # standard deviations of speed
 
@@ -50,7 +53,7 @@ def guess(tracks: Tracks, noise_sd: float | None = None) -> Guess:
     turn_variance = variance[:, 1:].mean(axis=1)
     growths = eta[:, 0][eta[:, 0] ** 2 > 4.0 * variance[:, 0]]
     turns = np.abs(turn[turn**2 > 4.0 * turn_variance * (1 if tracks.axes == 2 else 3)])
-    speed = float(np.sqrt(np.mean(np.square(speeds)))) if speeds.size else 1.0
+    speed = float(np.sqrt(np.mean(np.square(np.minimum(speeds, 3.0 * np.median(speeds)))))) if speeds.size else 1.0
     least = 0.01 / max(duration, step)
     growth = float(np.quantile(np.abs(growths), 0.75)) if growths.size > 20 else least
     turning = float(np.quantile(turns, 0.75)) if turns.size > 20 else least
@@ -59,17 +62,23 @@ def guess(tracks: Tracks, noise_sd: float | None = None) -> Guess:
     return Guess(features, sizes, growths, turns)
 
 
-def _law(axes: int, sizes: Sizes, quiet: float, drift: float, swing: tuple[float, float] | None = None) -> Law:
-    turn_noise = drift**2 * sizes.turn**2 / sizes.duration
+def law_like(axes: int, sizes: Sizes, swing: tuple[float, float] | None = None) -> Law:
+    """A law to begin with: shape parameters that drift a little, and a weave that is kept going."""
+    turn_noise = _DRIFT**2 * sizes.turn**2 / sizes.duration
     if swing is not None:
         turn_noise = 4.0 * swing[1] * swing[0] ** 3 * (0.3 * sizes.turn) ** 2
     return Law(
         axes,
-        growth_noise=drift**2 * sizes.growth**2 / sizes.duration,
+        growth_noise=_DRIFT**2 * sizes.growth**2 / sizes.duration,
         turn_noise=turn_noise,
-        wobble=(quiet * sizes.acceleration) ** 2 * sizes.step,
+        wobble=(_QUIET * sizes.acceleration) ** 2 * sizes.step,
         swing=swing,
     )
+
+
+def level(values: Floats, q: float, size: float) -> float:
+    """Quantile of what windows show; where they show little, that share of a typical size."""
+    return float(np.quantile(values, q)) if values.size > 20 else q * size
 
 
 def first_intents(found: Guess, axes: int, most: int = 7) -> IntentModel:
@@ -84,12 +93,9 @@ def first_intents(found: Guess, axes: int, most: int = 7) -> IntentModel:
     """
     sizes = found.sizes
 
-    def level(values: Floats, q: float, size: float) -> float:
-        return float(np.quantile(values, q)) if values.size > 20 else q * size
-
     up, down = found.growths[found.growths > 0], -found.growths[found.growths < 0]
-    still_g, still_w = 0.1 * sizes.growth, 0.1 * sizes.turn
-    lively = _law(axes, sizes, 0.05, 0.4)
+    still_g, still_w = STILL * sizes.growth, STILL * sizes.turn
+    lively = law_like(axes, sizes)
     flat = axes == 2
     births = [(Birth(1.0, 0.0, still_g, 0.0, still_w), False)]
     for q in (0.8, 0.25):
@@ -105,29 +111,6 @@ def first_intents(found: Guess, axes: int, most: int = 7) -> IntentModel:
         for k, (birth, sided) in enumerate(births[:most])
     ]
     return _with_chain(axes, tuple(made), sizes)
-
-
-def add_weave(model: IntentModel, sizes: Sizes, period: float) -> IntentModel:
-    """The model with one more intent that weaves with about that period, s; it takes a share of every switch."""
-    natural = 2.0 * math.pi / period
-    birth = Birth(1.0, 0.0, 0.1 * sizes.growth, 0.0, sizes.turn, swing_sd=0.5 * sizes.turn * natural)
-    law = _law(model.axes, sizes, 0.05, 0.4, (natural, 0.05))
-    name = next(chr(ord("a") + k) for k in range(26) if chr(ord("a") + k) not in [i.name for i in model.intents])
-    count = len(model.intents)
-    old = np.array(model.generator)
-    rates = np.zeros((count + 1, count + 1))
-    leaving = -np.diag(old) if count > 1 else np.full(1, _SPELLS / sizes.duration)
-    share = 1.0 / (count + 1)
-    rates[:count, :count] = (old - np.diag(np.diag(old))) * (1.0 - share)
-    rates[:count, count] = leaving * (share if count > 1 else 1.0)
-    rates[count, :count] = float(leaving.mean()) / count
-    np.fill_diagonal(rates, -rates.sum(axis=1))
-    made = model.with_(
-        intents=(*model.intents, Intent(name, (Phase(law, (birth,)),))),
-        generator=tuple(map(tuple, rates.tolist())),
-        initial=(*(np.array(model.initial) * (1.0 - share)).tolist(), share),
-    )
-    return settled(made)
 
 
 def one_intent(found: Guess, axes: int) -> IntentModel:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,7 +14,7 @@ from jink.intent.located import locate, noise_sigma
 if TYPE_CHECKING:
     from jink.intent.bank_torch import Batch
 
-__all__ = ["Lessons", "make_lessons", "positions_of"]
+__all__ = ["Lessons", "first_spoiled", "make_lessons", "positions_of"]
 
 Floats = NDArray[np.float64]
 _PIECE = 100  # rows
@@ -155,8 +154,14 @@ def _padded(tracks: Tracks, noise: Floats, cuts: list[tuple[int, int, int]], ids
     )
 
 
-def spoiled(pieces: Tracks, log_likelihood: Floats, least: float) -> NDArray[np.bool_]:
-    """Rows that are worse than ``least`` nats below their median: gross outliers; (B, T)."""
-    measured = np.isfinite(pieces.measurements[..., 0]) & pieces.used
-    middle = float(np.median(log_likelihood[measured])) if measured.any() else math.nan
-    return np.asarray(measured & (log_likelihood < middle - least))
+def first_spoiled(log_likelihood: Floats, measured: NDArray[np.bool_], least: float) -> NDArray[np.bool_]:
+    """The first of every run of rows that lie more than ``least`` nats below the median; (B, T)."""
+    if not measured.any():
+        return measured
+    bad = measured & (log_likelihood < float(np.median(log_likelihood[measured])) - least)
+    after = np.zeros(len(bad), dtype=np.bool_)
+    first = np.zeros_like(bad)
+    for t in range(bad.shape[1]):
+        first[:, t] = bad[:, t] & ~after
+        after = np.where(measured[:, t], bad[:, t], after)
+    return first

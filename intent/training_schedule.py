@@ -1,4 +1,4 @@
-"""From lessons to a model: one intent, too many, fewer and fewer, a weave if it pays, the best number, all tracks."""
+"""From lessons to a model: one intent, too many, fewer and fewer, more if they pay, the best number, all tracks."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jink.estimators.tracks import Tracks
 from jink.intent.climbing import climb
 from jink.intent.diary import Diary
-from jink.intent.first_guess import Guess, add_weave, first_intents, guess, one_intent
+from jink.intent.first_guess import Guess, first_intents, guess, one_intent
 from jink.intent.joining import MOST_BIRTHS, closest_joined, tidy
-from jink.intent.lessons import Lessons, spoiled
+from jink.intent.lessons import Lessons, first_spoiled
 from jink.intent.model import Intent, IntentModel
 from jink.intent.progress import Progress
+from jink.intent.proposals import larger_models
 from jink.intent.selection import WORTH, CurvePoint, choose, curve_of, row_scores, smaller_models, track_scores
 
 if TYPE_CHECKING:
@@ -27,7 +29,7 @@ __all__ = ["Outcome", "Settings", "learn"]
 
 Floats = NDArray[np.float64]
 _OUTLIER = 25.0  # nats below the median row
-_PERIODS = (0.06, 0.1, 0.16, 0.26)  # of a piece: periods of weaves that are tried
+_PASSES, _MOST_OUTLIERS = 12, 0.2
 _FEWER_BIRTHS = 2e-4  # nats per row that a birth component must bring
 
 
@@ -38,7 +40,8 @@ class Settings:
     Args:
         intents: how many; None: chosen.
         most: intents to begin with.
-        single, first, weave, fewer, last: steps of the stages.
+        single, first, fewer, tries, more, last: steps of the stages.
+        rounds: how often an intent that may be lacking is looked for.
         rivals: how many of the best smaller models are fitted at each number of intents.
         seconds: processor budget; None: none. Climbs stop when it is spent, so results then depend on the machine.
         threads: parts a batch is cut into; the last digits depend on it.
@@ -49,9 +52,11 @@ class Settings:
     intents: int | None = None
     most: int = 7
     single: int = 25
-    first: int = 45
-    weave: int = 6
+    first: int = 70
     fewer: int = 15
+    tries: int = 5
+    more: int = 25
+    rounds: int = 3
     last: int = 40
     rivals: int = 1
     seconds: float | None = None
@@ -88,17 +93,28 @@ class _Stopwatch:
 class _Trainer:
     """Climbs of one training: the batches, the sizes, what a row costs at most, and who is told."""
 
-    def __init__(self, lessons: Lessons, found: Guess, settings: Settings, tell: Callable[[Progress], None]) -> None:
-        self.lessons, self.found, self.settings, self.tell = lessons, found, settings, tell
+    def __init__(self, lessons: Lessons, settings: Settings, tell: Callable[[Progress], None]) -> None:
+        self.lessons, self.settings, self.tell = lessons, settings, tell
+        self.sigma = None if lessons.noise_sd is None else float(np.mean(lessons.noise_sd))
+        self.found: Guess = guess(lessons.pieces, self.sigma)
         self.floor = -math.inf
         self.watch = _Stopwatch(settings.seconds)
+
+    @property
+    def speed(self) -> float:
+        """Standard deviation of a velocity component before anything is known; m/s."""
+        return self.found.sizes.speed / math.sqrt(self.lessons.pieces.axes)
+
+    def set_floor(self, scores: Floats, batch: Batch) -> None:
+        """What a row costs at most: a gross outlier then pulls at nothing."""
+        detected = batch.detected.cpu().numpy()
+        self.floor = float(np.median(scores[detected])) - _OUTLIER if detected.any() else -math.inf
 
     def with_noise(self, model: IntentModel) -> IntentModel:
         return model if self.lessons.noise_sd is None else model.with_(noise_sd=self.lessons.noise_sd)
 
     def batch(self, chosen: NDArray[np.int64] | None) -> Batch:
-        speed = self.found.sizes.speed / math.sqrt(self.lessons.pieces.axes)
-        return self.lessons.batch(chosen, speed, self.settings.device)
+        return self.lessons.batch(chosen, self.speed, self.settings.device)
 
     def climb(self, model: IntentModel, batch: Batch, stage: str, steps: int, tolerance: float = 1e-5) -> IntentModel:
         def report(step: int, value: float) -> bool:
@@ -136,11 +152,10 @@ def learn(lessons: Lessons, settings: Settings, diary: Diary, tell: Callable[[Pr
 
     Source: DESIGN of Jink; smaller models by likelihood on tracks that were not fitted.
     """
-    sigma = None if lessons.noise_sd is None else float(np.mean(lessons.noise_sd))
     tell(Progress("clusters", 0, 0, 0, math.nan))
-    found = guess(lessons.pieces, sigma)
-    trainer = _Trainer(lessons, found, settings, tell)
-    lessons, left_out, single = _clean(trainer, diary)
+    trainer = _Trainer(lessons, settings, tell)
+    left_out, single = _clean(trainer, diary)
+    lessons = trainer.lessons
     fit, held = trainer.batch(lessons.fit), trainer.batch(lessons.held)
     scores, rows = trainer.score(single, held)
     kept = _Found({1: single}, {1: scores})
@@ -173,31 +188,43 @@ def learn(lessons: Lessons, settings: Settings, diary: Diary, tell: Callable[[Pr
     )
 
 
-def _clean(trainer: _Trainer, diary: Diary) -> tuple[Lessons, int, IntentModel]:
-    """Fit one intent; rows it finds absurd are gross outliers and are left out, then it is fitted again."""
+def _clean(trainer: _Trainer, diary: Diary) -> tuple[int, IntentModel]:
+    """Fit one intent; rows it finds absurd are gross outliers: they are left out and it is fitted again."""
     settings, axes = trainer.settings, trainer.lessons.pieces.axes
-    model, left_out = trainer.with_noise(one_intent(trainer.found, axes)), 0
-    for attempt in range(3):
+    everything, left_out = trainer.batch(None), 0
+    model = trainer.with_noise(one_intent(trainer.found, axes))
+    for attempt in range(2):
+        trainer.set_floor(row_scores(model, everything, settings.threads), everything)
 
-        def single(start: IntentModel = model, number: int = attempt) -> tuple[IntentModel, dict[str, Any]]:
-            steps = settings.single if number == 0 else settings.single // 2
-            return trainer.climb(start, trainer.batch(trainer.lessons.fit), "one intent", steps), {}
+        def single(start: IntentModel = model) -> tuple[IntentModel, dict[str, Any]]:
+            return trainer.climb(start, trainer.batch(trainer.lessons.fit), "one intent", settings.single), {}
 
-        everything = trainer.batch(None)
-        first = row_scores(model, everything, settings.threads)
-        trainer.floor = float(np.median(first[everything.detected.cpu().numpy()])) - _OUTLIER
         model, _ = diary.stage(f"one-intent-{attempt + 1}", single)
-        rows = row_scores(model, everything, settings.threads)
-        bad = spoiled(trainer.lessons.pieces, rows, _OUTLIER) & everything.detected.cpu().numpy()
-        trainer.floor = float(np.median(rows[everything.detected.cpu().numpy()])) - _OUTLIER
-        if not bad.any() or bad.mean() > 0.2:
+        pieces, dropped = _without_outliers(trainer, model) if attempt == 0 else (trainer.lessons.pieces, 0)
+        everything = trainer.batch(None)
+        if not dropped:
             break
-        left_out += int(bad.sum())
-        pieces = trainer.lessons.pieces
-        trainer.lessons = trainer.lessons._replace(
-            pieces=replace(pieces, measurements=np.where(bad[..., None], np.nan, pieces.measurements))
-        )
-    return trainer.lessons, left_out, model
+        left_out += dropped
+        trainer.lessons = trainer.lessons._replace(pieces=pieces)
+        trainer.found = guess(pieces, trainer.sigma)
+        model, everything = trainer.with_noise(one_intent(trainer.found, axes)), trainer.batch(None)
+    trainer.set_floor(row_scores(model, everything, settings.threads), everything)
+    return left_out, model
+
+
+def _without_outliers(trainer: _Trainer, model: IntentModel) -> tuple[Tracks, int]:
+    """Leave out the first row of every run of absurd ones, again and again: those after it may only suffer from it."""
+    pieces, dropped = trainer.lessons.pieces, 0
+    rows = int(np.isfinite(pieces.measurements[..., 0]).sum())
+    for _ in range(_PASSES):
+        batch = trainer.lessons._replace(pieces=pieces).batch(None, trainer.speed, trainer.settings.device)
+        scores = row_scores(model, batch, trainer.settings.threads)
+        bad = first_spoiled(scores, batch.detected.cpu().numpy(), _OUTLIER)
+        if not bad.any():
+            return pieces, dropped
+        dropped += int(bad.sum())
+        pieces = replace(pieces, measurements=np.where(bad[..., None], np.nan, pieces.measurements))
+    return (pieces, dropped) if dropped < _MOST_OUTLIERS * rows else (trainer.lessons.pieces, 0)
 
 
 class _Found(NamedTuple):
@@ -214,7 +241,7 @@ class _Found(NamedTuple):
 
 
 def _many(trainer: _Trainer, diary: Diary, fit: Batch, held: Batch, found: _Found) -> None:
-    """Fit too many intents, take one away at a time, and see whether the number chosen so far lacks a weave."""
+    """Fit too many intents, take one away at a time, and see whether the number chosen so far lacks one."""
     settings, axes = trainer.settings, trainer.lessons.pieces.axes
 
     def first() -> tuple[IntentModel, dict[str, Any]]:
@@ -222,34 +249,37 @@ def _many(trainer: _Trainer, diary: Diary, fit: Batch, held: Batch, found: _Foun
         return tidy(trainer.climb(start, fit, "fit", settings.first)), {}
 
     model, _ = diary.stage("fit", first)
-    rows = _reduce(trainer, diary, "fewer", model, fit, held, found)
-    if settings.weave == 0:
-        return
-    count = settings.intents if settings.intents in found.models else choose(found.scores, rows, settings.seed)[0]
-    chosen = found.models[max(count, 2)]
+    rows = _reduce(trainer, diary, "fewer", model, fit, held, found, 2)
+    for attempt in range(settings.rounds):
+        wanted = settings.intents
+        count = choose(found.scores, rows, settings.seed)[0] if wanted is None else wanted - 1
+        count = max(2, min(count, max(found.models)))
+        if count not in found.models:
+            return
+        base, before = found.models[count], found.scores[count]
 
-    def weave() -> tuple[IntentModel, dict[str, Any]]:
-        return _with_weave(trainer, chosen, fit), {}
+        def larger(start: IntentModel = base) -> tuple[IntentModel, dict[str, Any]]:
+            return _larger(trainer, start, fit), {}
 
-    model, _ = diary.stage("weave", weave)
-    scores, _ = trainer.score(model, held)
-    gain = scores - found.scores[len(chosen.intents)]
-    error = float(gain.std() * math.sqrt(len(rows)) / rows.sum())
-    if float(gain.sum() / rows.sum()) > max(2.0 * error, WORTH):
-        _reduce(trainer, diary, "weave-fewer", model, fit, held, found)
+        model, _ = diary.stage(f"more-{attempt + 1}", larger)
+        gain = trainer.score(model, held)[0] - before
+        error = float(gain.std() * math.sqrt(len(rows)) / rows.sum())
+        if float(gain.sum() / rows.sum()) <= max(2.0 * error, WORTH):
+            return
+        _reduce(trainer, diary, f"fewer-{attempt + 1}", model, fit, held, found, max(2, count - 1))
 
 
 def _reduce(
-    trainer: _Trainer, diary: Diary, name: str, model: IntentModel, fit: Batch, held: Batch, found: _Found
+    trainer: _Trainer, diary: Diary, name: str, model: IntentModel, fit: Batch, held: Batch, found: _Found, least: int
 ) -> Floats:
-    """From a model down to two intents; returns the measured rows of the held-out tracks."""
+    """From a model down to ``least`` intents; returns the measured rows of the held-out tracks."""
     while True:
         count = len(model.intents)
         scores, rows = trainer.score(model, held)
         found.offer(model, scores)
         value = float(scores.sum() / max(float(rows.sum()), 1.0))
         trainer.tell(Progress("merge", 0, 0, count, value, held_out=True))
-        if count <= 2:
+        if count <= least:
             return rows
 
         def fewer(start: IntentModel = model) -> tuple[IntentModel, dict[str, Any]]:
@@ -258,16 +288,16 @@ def _reduce(
         model, _ = diary.stage(f"{name}-{count - 1}", fewer)
 
 
-def _with_weave(trainer: _Trainer, model: IntentModel, fit: Batch) -> IntentModel:
-    """The model with one more intent, that weaves: the best of a few periods."""
-    settings, sizes = trainer.settings, trainer.found.sizes
-    best, candidate = -math.inf, model
-    for share in _PERIODS:
-        tried = trainer.climb(add_weave(model, sizes, share * sizes.duration), fit, "weave", settings.weave)
+def _larger(trainer: _Trainer, model: IntentModel, fit: Batch) -> IntentModel:
+    """The best model with one intent more, fitted."""
+    settings = trainer.settings
+    best, chosen = -math.inf, model
+    for candidate in larger_models(model, trainer.found):
+        tried = trainer.climb(candidate, fit, "more", settings.tries)
         value = trainer.mean(tried, fit)
         if value > best:
-            best, candidate = value, tried
-    return tidy(trainer.climb(candidate, fit, "weave", settings.fewer))
+            best, chosen = value, tried
+    return tidy(trainer.climb(chosen, fit, "more", settings.more))
 
 
 def _smaller(trainer: _Trainer, model: IntentModel, fit: Batch) -> IntentModel:

@@ -29,7 +29,8 @@ class StandInLearner:
         for step in range(state["step"], STEPS):
             if step == self.kill_at:
                 os.kill(os.getpid(), signal.SIGKILL)
-            state = {"step": step + 1, "sum": state["sum"] + float(np.nanmean(tracks.measurements[:, step])) + draws[step]}
+            more = float(np.nanmean(tracks.measurements[:, step])) + draws[step]
+            state = {"step": step + 1, "sum": state["sum"] + more}
             part = file.with_suffix(".part")
             part.write_text(json.dumps(state))
             part.replace(file)

@@ -172,6 +172,21 @@ def test_short_tracks_padding_and_wanted_rows():
     assert not encode(coincident, 1.0).valid.any()  # no time passes: no velocity
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_target_that_stops_and_jumps():
+    z = np.zeros((60, 2))
+    z[20:40, 0] = 3.0 * np.arange(20)  # stands, drives off, stands
+    z[40:] = z[39]
+    z[50] += 4000.0
+    for axes in (2, 3):
+        path = np.pad(z, ((0, 0), (0, axes - 2)))
+        found = encode(Tracks.from_arrays(path, np.arange(60.0), noise=np.eye(axes) * 0.01), 9.0)
+        np.testing.assert_allclose(found.mean[0, 30, : 2 * axes], [30.0, *[0.0] * (axes - 1), 3.0, *[0.0] * (axes - 1)],
+                                   atol=1e-6)  # fmt: skip
+        assert found.valid[0, 30] and found.speed_ratio[0, 30] > 3.0
+        assert not (found.speed_ratio[0, :10] > 3.0).any()
+
+
 def test_noise_is_estimated_where_none_is_given():
     tracks, _, _ = planar(np.arange(400) * 0.5, 0.0, 0.1, sigma=4.0, tracks=4, seed=9)
     bare = Tracks.from_arrays(tracks.measurements, tracks.times)

@@ -74,6 +74,17 @@ def test_tracks_without_direction_are_refused(name):
         MAKERS[name](intents=2).fit(still)
 
 
+def test_pieces_know_their_side():
+    tracks, eta, _ = switching_tracks(tracks=10, seed=6, laws=("straight", "turn"))
+    made = SegmentCluster(2, window=10.0).fit(tracks)
+    found = made.segment(tracks, handed=True)
+    side = np.sign(np.round(eta[..., 1], 6)).astype(int) + 1
+    assert found.probs.shape[2] == 3
+    assert score_segmentation(found, side, 4.0).accuracy > 0.85  # one label: 0.6
+    tied = made.segment(tracks)
+    assert score_segmentation(tied, abs(side - 1), 4.0).accuracy > 0.85
+
+
 def waggling(seed=0, rows=900):
     """A heading that turns left, turns right, or waggles: its change per frame, and which of these it does."""
     generator = np.random.default_rng(seed)

@@ -35,8 +35,8 @@ class TrainingLog:
 
     def __init__(self, path: Path, board: Path) -> None:
         self._path, self._board_folder = path, board
-        self._known = _read(path)
-        self._replayed = bool(self._known)
+        # In order of their first time: a learner that goes on repeats what it said last, to the same bits.
+        self._known = dict.fromkeys(_read(path))
         self._began = self._said = time.monotonic()
         self._stage = ""
         self._terminal = sys.stderr.isatty()
@@ -77,25 +77,14 @@ class TrainingLog:
             self._board.add_scalar(f"{report.stage}/nats per row", report.log_likelihood, report.step)
             self._board.add_scalar(f"{report.stage}/intents", report.intents, report.step)
         said = (report.stage, report.step, report.intents, float(report.log_likelihood), bool(report.held_out))
-        if self._replayed:
-            self._replayed = False
-            self._forget_from(said)
-        self._known.append(said)
-        if self._file is not None:
+        if said not in self._known and self._file is not None:
+            self._known[said] = None
             self._file.write(json.dumps(said) + "\n")
             self._file.flush()
 
     def trace(self) -> list[Progress]:
         """Every report that had a likelihood, in order; what a killed run said included."""
         return [Progress(stage, step, 0, intents, nats, held) for stage, step, intents, nats, held in self._known]
-
-    def _forget_from(self, said: Said) -> None:
-        """A learner that goes on repeats the stage it was killed in, to the same bits: what was said of it goes."""
-        places = [k for k, known in enumerate(self._known) if known == said]
-        if places and self._file is not None:
-            self._known = self._known[: places[-1]]
-            self._file.close()
-            self._begin_file()
 
     def _begin_file(self) -> None:
         """A file of what is known so far, open for more; without the line that a kill cut short."""

@@ -20,13 +20,14 @@ _NEWS = 0.4  # of a window: features this far apart are nearly independent
 
 
 class Piece(NamedTuple):
-    """Rows first..last of a track that share one law; mean of its (g, |w|) and their variances; (2,)."""
+    """Rows first..last of a track that share one law: mean (g, |w|) and variances, (2,); side -1 if it turns right."""
 
     track: int
     first: int
     last: int
     mean: Floats
     var: Floats
+    side: int = 1
 
 
 class Pieces(NamedTuple):
@@ -101,5 +102,6 @@ def cut_tracks(tracks: Tracks, strength: float, window: float | None, noise_sd: 
             mean = np.sum(weights[cut:end] * x[b, rows[cut:end]], axis=0) / mass
             var = np.array([1.0 / mass[0], 1.0 / mass[1:].mean()])
             folded = np.array([mean[0], float(np.linalg.norm(mean[1:]))])
-            pieces.append(Piece(b, edges[i], edges[i + 1] - 1, folded, var))
+            side = -1 if x.shape[2] == 2 and mean[1] < 0.0 else 1
+            pieces.append(Piece(b, edges[i], edges[i + 1] - 1, folded, var, side))
     return Pieces(pieces, features)

@@ -64,19 +64,24 @@ class SegmentCluster:
 
         sizes = [self.intents] if self.intents else list(range(1, min(self.most, len(pieces)) + 1))
         self._found, self.intents_, self.curve_ = best_of(climb, sizes, len(pieces))
-        self.mean_ = self._found[1]
+        self.mean_, self._noise = self._found[1], float(np.median(var[:, 1]))
         return self
 
-    def segment(self, tracks: Tracks) -> Segmentation:
-        """Labels of tracks by the clusters found in `fit`."""
+    def segment(self, tracks: Tracks, *, handed: bool = False) -> Segmentation:
+        """Labels of tracks by the clusters found; ``handed``: left and right of a cluster away from 0 are labels."""
         cut = cut_tracks(tracks, self.strength, self.window_, self.noise_sd)
-        probs = np.zeros((*tracks.times.shape, self.intents_))
+        K = self.intents_
+        turning = self._found[1][:, 1] ** 2 > self._found[2][:, 1] + 4.0 * self._noise  # |noise| has a mean too
+        sided = np.flatnonzero(turning & handed)
+        probs = np.zeros((*tracks.times.shape, K + len(sided)))
         switches = np.zeros(tracks.times.shape)
         for piece in cut.pieces:
-            probs[piece.track, piece.first : piece.last + 1] = self._memberships(piece)
+            row = np.concatenate([self._memberships(piece), np.zeros(len(sided))])
+            if piece.side < 0:
+                row[K:], row[sided] = row[sided], 0.0
+            probs[piece.track, piece.first : piece.last + 1] = row
             if piece.first > 0:
-                before = probs[piece.track, piece.first - 1]
-                switches[piece.track, piece.first] = 1.0 - float(before @ probs[piece.track, piece.first])
+                switches[piece.track, piece.first] = 1.0 - float(probs[piece.track, piece.first - 1] @ row)
         return Segmentation.of_probs(probs, tracks.times, tracks.lengths, switches=switches)
 
     def _memberships(self, piece: Piece) -> Floats:
