@@ -66,7 +66,8 @@ class NetworkStep:
         tracker, M = self.tracker, self.paths.means.shape[1]
         path = self.paths.means[node, :, self.first :]
         T, n = path.shape[1:]
-        places = positions_of(tracker.moving, np.ascontiguousarray(path.reshape(M * T, n))).reshape(M, T, -1)
+        places = positions_of(tracker.moving, np.ascontiguousarray(path.reshape(M * T, n)))
+        places = places.reshape(M, T, len(tracker.moving.index) // 2)
         frames = self.state.frames[self.first :]
         return node_scans(frames, self.state.sensors, tracker.node_of, node, places, tracker.gate)
 
