@@ -170,7 +170,7 @@ def test_a_kill_between_two_renames_leaves_a_whole_model(folder, monkeypatch):
 @pytest.mark.parametrize(
     "about",
     [{"when": object()}, {"loss": math.nan}, {"bell": "\x1b[31m"}, {"long": "x" * 3000}, {1: "a"}, {"big": 2**70}],
-    ids=str,
+    ids=("object", "nan", "control character", "too long", "number as key", "too large"),
 )
 def test_what_could_not_be_read_is_not_written(tmp_path, about):
     with pytest.raises(ValueError, match="must"):
