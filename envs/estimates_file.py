@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,17 +18,24 @@ if TYPE_CHECKING:
 __all__ = ["STATUS_NAMES", "write_estimates"]
 
 
-def write_estimates(path: str | Path, tracks: Tracks, estimates: EstimatesLike, modes: Sequence[str] = ()) -> None:
+def write_estimates(
+    path: str | Path,
+    tracks: Tracks,
+    estimates: EstimatesLike,
+    modes: Sequence[str] = (),
+    readings: Mapping[str, np.ndarray] | None = None,
+) -> None:
     """Write estimates, padding left out; a reader finds either the whole file or none.
 
-    Columns: track, t, x, y[, z], vx, vy[, vz], sd_x, ..., sd_vx, ..., nis, status, then `mode_<name>`, the
-    probability of each mode. CSV numbers carry 17 digits where needed, so reading them back is exact.
+    Columns: track, t, x, y[, z], vx, vy[, vz], sd_x, ..., sd_vx, ..., nis, status, the readings, then `mode_<name>`,
+    the probability of each mode. CSV numbers carry 17 digits where needed, so reading them back is exact.
 
     Args:
         path: file ending in .csv or .parquet; replaced if it exists.
         tracks: what was measured, B tracks.
         estimates: what an estimator's `run` or `smooth` returned for these tracks.
         modes: names of the modes; empty: mode_1, mode_2, ...
+        readings: further columns (B, T) by name, for instance surge_probability.
 
     Raises:
         ValueError: another suffix, a folder that does not exist, or estimates of other tracks.
@@ -62,6 +69,7 @@ def write_estimates(path: str | Path, tracks: Tracks, estimates: EstimatesLike, 
     columns |= {name: deviations[:, index] for index, name in enumerate(names)}
     columns["nis"] = np.asarray(estimates.nis)[used]
     columns["status"] = np.array(STATUS_NAMES, dtype=object)[np.asarray(estimates.status)[used]]
+    columns |= {name: np.asarray(values)[used] for name, values in (readings or {}).items()}
     for index in range(mode_probs.shape[-1]):
         columns[f"mode_{modes[index] if modes else index + 1}"] = mode_probs[used][:, index]
     frame = pd.DataFrame(columns)

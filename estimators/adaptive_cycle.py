@@ -25,8 +25,14 @@ from jink.estimators.modes import careful_covariance, measure_mode, predict_mode
 from jink.estimators.program import program_at, work_at
 from jink.estimators.records import ABSURD, LOCATED, RUNNING
 from jink.estimators.reference import by_reference
-from jink.estimators.restarting import begin_again, refusals_agree, widening
-from jink.estimators.soundness import drop_impossible_correlations, sound_moments, usable_components, widen
+from jink.estimators.restarting import AGREED, BEGUN, REFUSED, begin_again, refusals_agree, widening
+from jink.estimators.soundness import (
+    believable_parameters,
+    drop_impossible_correlations,
+    sound_moments,
+    usable_components,
+    widen,
+)
 from jink.estimators.status import DIVERGED, MISSING, OK, REPAIRED, STARTING
 
 __all__ = ["LEARNT", "PROCESS", "RATIO", "SAGE_HUSA", "VARIATIONAL", "WEIGHT", "Settings", "advance"]
@@ -70,7 +76,7 @@ def _update(settings, program, work, learnt, refusals, room, m, P, sensor, z, d,
     Log density and NIS are those of the prediction: with the noise as it was known before.
 
     Returns:
-        (log density, NIS, whether all went well, whether the target is lost, and how much to widen then).
+        (log density, NIS, whether all went well, what `refusals_agree` found, and how much to widen then).
     """
     n, size = program.sizes[0], z.size
     given, U, C, A, before, used, ratio = room[0], room[1], room[2], room[3], room[4], room[5], room[6]
@@ -101,10 +107,10 @@ def _update(settings, program, work, learnt, refusals, room, m, P, sensor, z, d,
     for a in range(d):
         for c in range(d):
             work.S[a, c] = three[a, c] + given[a, c]
-    astray, widen_by = False, 1.0
+    found, widen_by = 0, 1.0
     nominal = normalised_innovation(work.innovation[0], three, given, 1.0, d, work.statistic)
     if np.isfinite(nominal):
-        astray = refusals_agree(refusals, work.statistic[d:], present, nominal, d)
+        found = refusals_agree(refusals, work.statistic[d:], present, nominal, d)
         widen_by = widening(program, work.innovation[0], work.S, given, 1.0, d, work)
     log_density = predicted_nis = 0.0
     lost = False
@@ -146,7 +152,7 @@ def _update(settings, program, work, learnt, refusals, room, m, P, sensor, z, d,
             learnt[PROCESS] = min(max(factor, settings.floor), settings.ceiling)
     if lost:
         careful_covariance(program, work, 0, linear, P, d, P_out)
-    return log_density, predicted_nis, good, astray, widen_by
+    return log_density, predicted_nis, good, found, widen_by
 
 
 @inner_kernel
@@ -157,7 +163,7 @@ def _step(settings, program, work, state, inputs, outputs, room, b, t):
     """
     mean, cov, n = state.mean[b, 0], state.cov[b, 0], program.sizes[0]
     learnt = state.nis_average[b, LEARNT:]
-    good, lost, astray, widen_by = True, False, False, 1.0
+    good, lost, found, widen_by = True, False, 0, 1.0
     now = inputs.times[b if inputs.times.shape[0] > 1 else 0, t]
     dt = now - state.time[b]
     if not (dt >= 0.0 and dt < ABSURD):
@@ -183,7 +189,7 @@ def _step(settings, program, work, state, inputs, outputs, room, b, t):
         birth(program, work, 0, state.kin_mean[b], state.kin_cov[b], m, P)
     status, log_likelihood, nis = OK, 0.0, 0.0
     if d > 0:
-        log_likelihood, nis, fine, astray, widen_by = _update(
+        log_likelihood, nis, fine, found, widen_by = _update(
             settings, program, work, learnt, state.refusals[b], room, m, P, sensor, z, d, mean, cov
         )
         sound = sound_moments(mean, cov, n, P)
@@ -194,6 +200,8 @@ def _step(settings, program, work, state, inputs, outputs, room, b, t):
             lost = True
             birth(program, work, 0, state.kin_mean[b], state.kin_cov[b], mean, cov)
             _forget_all(settings, learnt, z.size)
+        else:
+            good = believable_parameters(program, 0, mean, cov) and good
         if not np.isfinite(log_likelihood):
             log_likelihood = -ABSURD
             good = False
@@ -215,12 +223,15 @@ def _step(settings, program, work, state, inputs, outputs, room, b, t):
     good = good and fused
     if not good:
         status = REPAIRED
+    astray = found & AGREED != 0
     if lost or astray or state.nis_average[b, LEARNT - 1] > _LOST_NIS:
         status = DIVERGED
     if status in (REPAIRED, DIVERGED):
         drop_impossible_correlations(work, state.kin_cov[b])
-    if astray and settings.restart and begin_again(program, work, state, b, widen_by):
+    again = astray and settings.restart and begin_again(program, work, state, b, widen_by)
+    if again:
         _forget_all(settings, learnt, z.size)
+    outputs.refused[b, t] = BEGUN if again else found & REFUSED
     outputs.status[b, t] = status
 
 

@@ -136,6 +136,8 @@ class AdaptiveEstimator(BankEstimator):
         ValueError: several modes, or from the inputs of each method, one sentence each.
     """
 
+    _learns = True
+
     def __init__(
         self,
         bank: Bank,

@@ -25,6 +25,7 @@ from jink.estimators.records import LOCATED, PRIOR, History, Inputs, Outputs, St
 from jink.estimators.reference import Pinned, pin
 from jink.estimators.smoothers import make_smoother, smooth_tracks
 from jink.estimators.starting import StartBatch
+from jink.estimators.status import STARTING
 from jink.estimators.streaming import Desk, make_desk
 
 __all__ = ["BankEstimator", "Estimates"]
@@ -64,7 +65,14 @@ class BankEstimator:
         ValueError: from `Bank` and from the inputs of each method, one sentence each.
     """
 
+    _learns = False
+
     def __init__(self, bank: Bank, name: str = "bank", threads: int | None = None) -> None:
+        if bank.learns_noise and not self._learns:
+            raise ValueError(
+                "BankEstimator: bank must not learn its noise; got one that does. Use AdaptiveEstimator, or "
+                "make_estimator by name."
+            )
         self.bank = bank
         self.name = name
         if threads is not None and not threads >= 1:
@@ -277,7 +285,7 @@ class BankEstimator:
             state.layout,
         )
         self._advance_row(desk, following)
-        _, _, _, log_likelihood, nis, nis_dof, status = desk.outputs.record
+        _, _, _, log_likelihood, nis, nis_dof, status, _ = desk.outputs.record
         axes = self.bank.sensor.axes
         mean = following.kin_mean[0].copy()
         return following, Estimates(
@@ -299,15 +307,23 @@ class BankEstimator:
 
     def intent_probs(self, estimates: Estimates) -> Floats:
         """Probability of each intent, whatever the noise; (B, T, I)."""
-        return intent_probs(self.bank, estimates.mode_probs)
+        return intent_probs(self.bank, getattr(estimates, "mode_probs", None))
 
     def surge_probability(self, estimates: Estimates) -> Floats:
-        """Probability that the measurement noise is above its lowest level; (B, T)."""
-        return surge_probability(self.bank, estimates.mode_probs)
+        """Probability that the measurement noise is above its lowest level; (B, T).
+
+        Raises:
+            ValueError: a bank without several noise levels, or no estimates of it.
+        """
+        return surge_probability(self.bank, getattr(estimates, "mode_probs", None))
 
     def noise_scale(self, estimates: Estimates) -> Floats:
-        """Expected factor on the measurement noise R; (B, T)."""
-        return noise_scale(self.bank, estimates.mode_probs)
+        """Expected factor on the measurement noise R; (B, T).
+
+        Raises:
+            ValueError: as `surge_probability`.
+        """
+        return noise_scale(self.bank, getattr(estimates, "mode_probs", None))
 
     def forecast(self, state: State, horizon: float, *, weights: str = "W1", steps: int = 1) -> tuple[Floats, Floats]:
         """Position ``horizon`` seconds ahead.
@@ -478,6 +494,9 @@ class BankEstimator:
             rows,
             progress,
         )
+        if started is not None:
+            nothing = (started.seen == 0) & ~outputs.nis_dof.any(axis=1)
+            outputs.status[nothing] = STARTING
         fill_outside(inputs, outputs, history, self.bank.start_probs)
         return state, outputs, history
 

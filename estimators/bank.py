@@ -42,6 +42,11 @@ class Mode:
     intent: str | None = None
 
     def __post_init__(self) -> None:
+        if isinstance(self.treatment, list):
+            raise ValueError(
+                f"Mode: treatment of {self.name} must be one treatment or a tuple; got a list. Use "
+                f"tuple({self.treatment!r})."
+            )
         kinds = ["adaptive" if isinstance(item, _ADAPTING) else type(item).__name__ for item in self.treatments]
         known = tuple(TREATMENTS.values())
         if not all(isinstance(item, known) for item in self.treatments) or len(set(kinds)) != len(kinds):
@@ -99,7 +104,10 @@ class Bank:
             modes and L cheap updates of each.
         restart: begin again, with births of all modes at much widened position and velocity, where the target is
             lost: about seventeen measurements in a row lay beyond the 99.9 % chi-square bound at nominal noise, and on
-            one side; None: where a treatment judges the noise (`Adaptive`, `BoundedTails`, several `Level`s).
+            one side; None: where a treatment judges the noise (`Adaptive`, `BoundedTails`, several `Level`s; not
+            `HeavyTails`, whose mean follows a jump by itself).
+        learns_noise: its one mode is to learn the noise, as `sage_husa` and `vb_noise`: only an `AdaptiveEstimator`
+            runs such a bank.
 
     Raises:
         ValueError: parts that do not fit; the sentence names them.
@@ -124,6 +132,7 @@ class Bank:
     every_sigma_point: bool = False
     shared: bool = False
     restart: bool | None = None
+    learns_noise: bool = False
 
     def __post_init__(self) -> None:
         if not self.modes:
@@ -180,6 +189,8 @@ class Bank:
                 raise ValueError(f"Bank: {name} must be > {low:g} and finite; got {value}. Leave it out if in doubt.")
         if not (self.restart is None or isinstance(self.restart, bool)):
             raise ValueError(f"Bank: restart must be True, False or None; got {self.restart!r}. Leave it out.")
+        if not isinstance(self.learns_noise, bool):
+            raise ValueError(f"Bank: learns_noise must be True or False; got {self.learns_noise!r}. Leave it out.")
         if not 0 <= self.reset_prob < 1:
             raise ValueError(f"Bank: reset_prob must be in [0, 1); got {self.reset_prob}. Use 1e-3.")
         if self.area is not None:

@@ -83,7 +83,8 @@ def fill_outside(inputs: Inputs, outputs: Outputs, history: History, probs: Floa
         first, length = int(inputs.first[b]), int(inputs.lengths[b])
         times = inputs.times[min(b, inputs.times.shape[0] - 1)]
         if first >= length:
-            outputs.status[b] = MISSING
+            outputs.status[b, :length] = STARTING
+            outputs.status[b, length:] = MISSING
             outputs.mode_probs[b] = probs
             continue
         if first > 0:

@@ -6,7 +6,7 @@ import numpy as np
 from numba import types
 
 from jink.estimators.compiled import entry_kernel, inner_kernel
-from jink.estimators.fusion import bank_nis, fuse, mode_posterior
+from jink.estimators.fusion import bank_nis, fuse, mode_posterior, posterior_nis
 from jink.estimators.hedging import hedge
 from jink.estimators.interaction import birth, convert, interact, own_prior
 from jink.estimators.linalg import copy_matrix, copy_rows, copy_vector
@@ -16,8 +16,14 @@ from jink.estimators.pieces import MATRIX, PROGRAM, STACK, VECTOR, WORK, piece
 from jink.estimators.program import RESET, program_at, work_at
 from jink.estimators.records import ABSURD, INPUTS, LOCATED, OUTPUTS, RUNNING, STATE, inputs_at, outputs_at
 from jink.estimators.reference import by_reference
-from jink.estimators.restarting import begin_again, refusals_agree, widening
-from jink.estimators.soundness import drop_impossible_correlations, sound_moments, usable_components, widen
+from jink.estimators.restarting import AGREED, BEGUN, REFUSED, begin_again, refusals_agree, widening
+from jink.estimators.soundness import (
+    believable_parameters,
+    drop_impossible_correlations,
+    sound_moments,
+    usable_components,
+    widen,
+)
 from jink.estimators.status import DIVERGED, MISSING, OK, REPAIRED, STARTING
 from jink.estimators.treatment_kernels import ERRING
 
@@ -136,13 +142,17 @@ def step(program, work, state, inputs, outputs, b, t):
             lost = True
             birth(program, work, j, state.kin_mean[b], state.kin_cov[b], m, P)
         work.log_density[j] = 0.0
+        work.nis[j] = d
         if d > 0:
             if program.treated[j] & ERRING:
                 hedge(program, work, j, work.mixed_mean[j], work.mixed_cov[j], sensor, z, d, m, P)
             density, nis, fine = update_mode(program, work, j, m, P, sensor, z, d, mean[j], cov[j])
             work.log_density[j] = density
+            work.nis[j] = nis
             sound = sound_moments(mean[j], cov[j], n, P)
             good = good and fine and sound == 2
+            if sound != 0:
+                good = believable_parameters(program, j, mean[j], cov[j]) and good
             if sound == 0:
                 if not lost:
                     widen(state.kin_cov[b])
@@ -156,15 +166,15 @@ def step(program, work, state, inputs, outputs, b, t):
             for i in range(n):
                 mean[j, i] = m[i]
             copy_rows(P, cov[j], n)
-    status, astray, widen_by = OK, False, 1.0
+    status, found, widen_by = OK, 0, 1.0
     if d > 0:
-        nis, fine = bank_nis(work, work.S_modes, modes, d)
+        nis, fine = posterior_nis(work, modes) if program.levelled else bank_nis(work, work.S_modes, modes, d)
         log_likelihood = mode_posterior(program, work, modes, probs)
         if not np.isfinite(log_likelihood):
             log_likelihood = -ABSURD
             good = False
         if fine:
-            worst = _WORST_JUDGED if program.watched else _WORST_NIS  # isolated outliers are its business
+            worst = _WORST_JUDGED if program.forgiving else _WORST_NIS
             state.nis_average[b, modes] += _MEMORY * (min(nis / d, worst) - state.nis_average[b, modes])
         else:
             nis = 0.0
@@ -175,7 +185,7 @@ def step(program, work, state, inputs, outputs, b, t):
         if program.watched:
             calm, fine = bank_nis(work, work.S_calm, modes, d)
             if fine:
-                astray = refusals_agree(state.refusals[b], work.whitened, work.present, calm, d)
+                found = refusals_agree(state.refusals[b], work.whitened, work.present, calm, d)
                 widen_by = widening(program, work.sensed, work.S, work.R, program.calm, d, work)
         if program.rule == RESET:
             good = _restart_poor_modes(program, work, mean, cov, probs, state.nis_average[b]) and good
@@ -185,6 +195,7 @@ def step(program, work, state, inputs, outputs, b, t):
         outputs.nis[b, t] = 0.0
         outputs.nis_dof[b, t] = 0
         status = MISSING
+    astray = found & AGREED != 0
     good = fuse(program, work, mean, cov, probs, state.kin_mean[b], state.kin_cov[b]) and good
     if not good:
         status = REPAIRED
@@ -192,8 +203,8 @@ def step(program, work, state, inputs, outputs, b, t):
         status = DIVERGED
     if status in (REPAIRED, DIVERGED):
         drop_impossible_correlations(work, state.kin_cov[b])
-    if astray and program.restart:
-        begin_again(program, work, state, b, widen_by)
+    again = astray and program.restart and begin_again(program, work, state, b, widen_by)
+    outputs.refused[b, t] = BEGUN if again else found & REFUSED
     outputs.status[b, t] = status
 
 

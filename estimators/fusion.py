@@ -10,7 +10,7 @@ from jink.estimators.linalg import cholesky, copy_vector
 from jink.estimators.modes import mode_kinematics
 from jink.estimators.pieces import MATRIX, PROGRAM, STACK, VECTOR, WORK, piece
 
-__all__ = ["bank_nis", "fuse", "mode_posterior"]
+__all__ = ["bank_nis", "fuse", "mode_posterior", "posterior_nis"]
 
 
 @inner_kernel
@@ -46,6 +46,30 @@ def bank_nis(work, S_modes, modes, d):
             return 0.0, False
         whitened[a, 0] = value / factor[a, a]
         nis += whitened[a, 0] * whitened[a, 0]
+    return nis, np.isfinite(nis)
+
+
+@inner_kernel
+def posterior_nis(work, modes):
+    """NIS of a bank of noise levels: ``sum_j p_j v_j' S_j^-1 v_j`` with the posterior probabilities p, not floored.
+
+    Its mean is d where the bank's mixture holds, as ``E[p_j(z) D_j^2(z)] = prior_j E[D_j^2 | j] = prior_j d``; the
+    moments of the mixture would say less, for the highest level, however improbable, dominates their S.
+    """
+    prior, log_density = work.prior, work.log_density
+    top = -np.inf
+    for j in range(modes):
+        if prior[j] > 0.0:
+            top = max(top, log_density[j])
+    if not abs(top) < np.inf:
+        return 0.0, False
+    nis, mass = 0.0, 0.0
+    for j in range(modes):
+        weight = prior[j] * np.exp(log_density[j] - top) if prior[j] > 0.0 else 0.0
+        if weight > 0.0:
+            nis += weight * work.nis[j]
+            mass += weight
+    nis /= mass
     return nis, np.isfinite(nis)
 
 

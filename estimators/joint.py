@@ -16,8 +16,8 @@ __all__ = ["LEVELS", "joint_bank", "level_chain"]
 
 LEVELS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)
 """Factors on R. In steps of four a surge between two levels costs a few per cent; with 1, 9, 100, 2500 up to 30."""
-CALM, SURGE, BACK = 2.0, 2.0, 0.8
-"""Mean durations, s, and the share of surges that end in calm rather than at another level."""
+CALM, SURGE, BACK = 20.0, 1.5, 0.8
+"""Mean durations, s, and the share of surges that end in calm rather than at another level: 9 % of the time surges."""
 
 
 def _check_levels(caller: str, levels: Sequence[float]) -> tuple[float, ...]:
@@ -28,6 +28,11 @@ def _check_levels(caller: str, levels: Sequence[float]) -> tuple[float, ...]:
     if isinstance(levels, str) or len(given) < 2 or len(set(given)) != len(given):
         raise ValueError(
             f"{caller}: levels must be two or more distinct factors on R, > 0; got {levels!r}. Use LEVELS."
+        )
+    if given[0] != min(given):
+        raise ValueError(
+            f"{caller}: levels must begin with the lowest, which is calm; got {levels!r}. Sort them; if the sensor may "
+            "be better than its R, give the sensor the better one."
         )
     return given
 
@@ -51,14 +56,17 @@ def level_chain(
     the other levels.
 
     Raises:
-        ValueError: fewer than two levels or levels that repeat, a duration not positive, or ``back`` no probability.
+        ValueError: fewer than two levels, levels that repeat or do not begin with the lowest, a duration not positive,
+            or ``back`` no probability.
     """
     _check_levels("level_chain", levels)
     _check_duration("calm", calm)
     _check_duration("surge", surge)
-    if not isinstance(back, float | int) or not 0.0 <= back <= 1.0:
-        raise ValueError(f"level_chain: back must be in [0, 1]; got {back}. Give the share of surges that end in calm.")
-    count = len(levels)
+    if isinstance(back, bool) or not isinstance(back, float | int | np.number) or not 0.0 <= back <= 1.0:
+        raise ValueError(
+            f"level_chain: back must be in [0, 1]; got {back!r}. Give the share of surges that end in calm."
+        )
+    count, back = len(levels), float(back)
     targets = np.full((count, count), (1.0 - back) / max(count - 2, 1))
     targets[:, 0] = back if count > 2 else 1.0
     targets[0] = 1.0 / (count - 1)
@@ -86,25 +94,34 @@ def joint_bank(
     the separate histories of the levels: up to 10 % in RMS position in long bursts.
 
     Args:
-        bank: intents, with a chain in continuous time if there are several.
-        levels: factors on R, the first one being calm; distinct.
+        bank: intents, with a chain in continuous time if there are several. Their treatments stay, beside the level:
+            Student-t intents get the product of tails and levels.
+        levels: factors on R, the first and lowest one being calm; distinct.
         calm, surge, back: see `level_chain`; s, s, a share.
         shared: see `Bank`; False: the full product; None: shared if there are several intents.
 
     Raises:
-        ValueError: levels that repeat, or a chain given per step.
+        ValueError: levels that repeat or do not begin with the lowest, a bank that has levels already, or a chain given
+            per step.
 
     Source: Li & Bar-Shalom (1994) for noise identification by IMM; the product is ours. Differs: levels collapsed.
     """
     if not isinstance(bank, Bank):
         raise ValueError(f"joint_bank: bank must be a Bank; got {type(bank).__name__}. Use recipes.intent_imm.")
+    for mode in bank.modes:
+        if any(isinstance(item, Level) for item in mode.treatments):
+            raise ValueError(
+                f"joint_bank: bank must have no noise levels yet; got mode {mode.name} with one. "
+                "Pass the bank of intents."
+            )
     levels = _check_levels("joint_bank", levels)
     noise = level_chain(levels, calm, surge, back)
     chain = noise
     if bank.chain is not None:
         if bank.chain.generator is None:
             raise ValueError(
-                "joint_bank: bank must have a chain in continuous time; got one matrix per step. "
+                "joint_bank: bank must have a chain in continuous time, as levels last for seconds; got one matrix per "
+                "step (that of robust_imm, for instance, whose modes are factors and no intents). "
                 "Use MarkovChain.from_sojourns or from_matrix."
             )
         chain = bank.chain.beside(chain)

@@ -18,19 +18,31 @@ __all__ = ["oracle", "untreated"]
 def untreated(bank: Bank) -> Bank:
     """The intents of a bank alone: one mode each, at nominal noise. What `oracle` runs.
 
+    Of a joint bank, the bank that was given to `joint_bank`, without treatments.
+
     Raises:
-        ValueError: a joint bank, whose chain is not that of its intents (then build the bank of intents).
+        ValueError: several modes per intent in a bank that is no product (then build the bank of intents).
     """
     names = list(dict.fromkeys(mode.purpose for mode in bank.modes))
-    if len(names) not in (1, len(bank.modes)):
-        raise ValueError(
-            f"untreated: bank must have one mode per intent; got {len(bank.modes)} modes of {len(names)} intents. "
-            "Pass the bank given to joint_bank."
-        )
-    modes = tuple(replace(mode, treatment=None) for mode in bank.modes[: len(names)])
+    changes = {"shared": False, "learns_noise": False}
     if len(names) == 1:
-        return replace(bank, modes=modes, chain=None, initial_probs=None, shared=False)
-    return replace(bank, modes=modes, shared=False)
+        mode = replace(bank.modes[0], name=names[0], treatment=None)
+        return bank.with_(modes=(mode,), chain=None, initial_probs=None, **changes)
+    if len(names) == len(bank.modes):
+        return bank.with_(modes=tuple(replace(mode, treatment=None) for mode in bank.modes), **changes)
+    factors = None if bank.chain is None else bank.chain.factors
+    levels = len(bank.modes) // len(names)
+    product = [name for name in names for _ in range(levels)]
+    if factors is None or factors[0].modes != len(names) or [mode.purpose for mode in bank.modes] != product:
+        raise ValueError(
+            f"untreated: bank must have one mode per intent, or come from joint_bank; got {len(bank.modes)} modes of "
+            f"{len(names)} intents. Pass the bank of intents."
+        )
+    modes = tuple(replace(mode, name=mode.purpose, treatment=None) for mode in bank.modes[::levels])
+    start = bank.initial_probs
+    if start is not None:
+        start = tuple(float(share) for share in np.reshape(start, (-1, levels)).sum(axis=1))
+    return bank.with_(modes=modes, chain=factors[0], initial_probs=start, **changes)
 
 
 def oracle(
@@ -59,7 +71,7 @@ def oracle(
         `Estimates` with one mode per intent.
 
     Raises:
-        ValueError: an intent the bank has not, or shapes that do not fit.
+        ValueError: an intent the bank has not, a bank that `untreated` refuses, or shapes that do not fit.
     """
     estimator = BankEstimator(untreated(bank), name="oracle", threads=threads)
     transition = None

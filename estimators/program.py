@@ -77,7 +77,9 @@ class Program(NamedTuple):
     reset_nis: float
     shared: bool  # modes of one intent share their prediction
     leader: Ints  # (M,) first mode of the intent where they share; else the mode itself
-    watched: bool  # noise is judged from innovations: is the target where the bank thinks?
+    forgiving: bool  # R follows each innovation: isolated outliers are this bank's business
+    levelled: bool  # modes differ in their factor on R
+    watched: bool  # is the target where the bank thinks?
     restart: bool  # begin again where it is not
     calm: float  # the nominal noise: smallest factor on R
     start_probs: Floats  # (M,)
@@ -137,6 +139,7 @@ class Work(NamedTuple):
     sensed: Floats
     present: Ints
     log_density: Floats
+    nis: Floats
     prior: Floats
     chain: Floats
     chain_scratch: Floats
@@ -227,6 +230,7 @@ def make_work(
         np.zeros(kin + kin // 2),
         np.zeros(measured),
         np.zeros(measured, np.int64),
+        np.zeros(modes),
         np.zeros(modes),
         np.zeros(modes),
         np.zeros((modes, modes)),
@@ -335,7 +339,9 @@ def make_program(
     source, gathered, drawn, use_acceleration = _conversions(motions, intents, rule, states)
     sizes = tuple(motion.size for motion in motions)
     treated = treatment_tables(treatments or ((),) * modes, sizes, states, sensor.size)
-    judging = bool((treated.treated & ADAPTING).any() or np.ptp(treated.noise_scale) > 0.0)
+    levelled = bool(np.ptp(treated.noise_scale) > 0.0)
+    adapting = bool((treated.treated & ADAPTING).any())
+    judging = levelled or adapting
     matrix = np.zeros((sensor.size, kin))
     if sensor.linear:
         for i in range(kin):
@@ -384,6 +390,8 @@ def make_program(
         reset_nis=float(reset_nis),
         shared=shared,
         leader=np.array([intents.index(intent) if shared else j for j, intent in enumerate(intents)], dtype=np.int64),
+        forgiving=adapting and not levelled,
+        levelled=levelled,
         watched=judging or bool(restart),
         restart=judging if restart is None else restart,
         calm=float(treated.noise_scale.min()),
@@ -437,7 +445,7 @@ def _example() -> Program:
         floats.reshape(0, 0, 0),
         ints, ints, ints, ints, ints, 0, False, tables.reshape(0, 0, 0), flags.reshape(0, 0), tables,
         flags.reshape(0, 0), 0, np.zeros(0), False, floats, flags, np.zeros(0), False, floats, 0.0, 0.0, 0.0, False,
-        ints, False, False, 1.0, np.zeros(0), floats, floats, *treatment_tables((), (), 8, 1),
+        ints, False, False, False, False, 1.0, np.zeros(0), floats, floats, *treatment_tables((), (), 8, 1),
     )  # fmt: skip
 
 

@@ -1,7 +1,8 @@
-"""Estimators by name. A recipe turns a sensor and three or four physical scales into a bank.
+"""Estimators by name. A recipe turns a sensor and a few physical scales into a bank.
 
 Scales: ``acceleration`` (typical size of a target's acceleration, m/s^2), ``speed`` (typical speed, m/s),
-``turn_rate`` (typical turn rate, rad/s) and ``sojourn`` (how long an intent lasts, s). Everything else follows.
+``turn_rate`` (typical turn rate, rad/s), ``sojourn`` (how long an intent lasts, s), and for noise levels
+``surge_every`` and ``surge_for`` (how often the noise surges and for how long, s). Everything else follows.
 To add a recipe: write a function here (or in your own file) and give it one line in ``RECIPES``.
 """
 
@@ -16,7 +17,7 @@ from jink.estimators.adaptive_estimator import AdaptiveEstimator, NoiseAdaptatio
 from jink.estimators.api import BankEstimator
 from jink.estimators.bank import Bank, Mode
 from jink.estimators.factors import LARGEST_INFLATION
-from jink.estimators.joint import joint_bank
+from jink.estimators.joint import CALM, SURGE, joint_bank
 from jink.estimators.markov import MarkovChain
 from jink.estimators.motions import (
     constant_acceleration,
@@ -46,6 +47,9 @@ class Scales:
         speed: typical speed; m/s; also the standard deviation of velocity at the start.
         turn_rate: typical turn rate; rad/s; None: ``acceleration / speed``, at most 1.
         sojourn: mean time between changes of intent; s.
+        surge_every: mean time from the end of one noise surge to the next; s; of banks with noise levels.
+        surge_for: mean time that a surge stays at one noise level; s; a few rows at least, unless surges are
+            outliers that come alone.
 
     Raises:
         ValueError: a scale is not positive and finite.
@@ -55,9 +59,11 @@ class Scales:
     speed: float = 10.0
     turn_rate: float | None = None
     sojourn: float = 10.0
+    surge_every: float = CALM
+    surge_for: float = SURGE
 
     def __post_init__(self) -> None:
-        for name in ("acceleration", "speed", "turn_rate", "sojourn"):
+        for name in ("acceleration", "speed", "turn_rate", "sojourn", "surge_every", "surge_for"):
             value = getattr(self, name)
             if value is not None and not (value > 0 and math.isfinite(value)):
                 raise ValueError(f"Scales: {name} must be > 0 and finite; got {value}. Give a typical value.")
@@ -163,7 +169,15 @@ def robust_imm(
     factors: tuple[str, ...] = ROBUST_FACTORS,
     cap: float = LARGEST_INFLATION,
 ) -> Bank:
-    """Robust interacting estimators (CN202211618386): one adaptive factor per mode over one constant velocity."""
+    """Robust interacting estimators (CN202211618386): one adaptive factor per mode over one constant velocity.
+
+    Raises:
+        ValueError: no factor, one that repeats, or an unknown one.
+    """
+    if isinstance(factors, str) or not len(factors) or len(set(factors)) != len(factors):
+        raise ValueError(
+            f"robust_imm: factors must be one or more distinct names in a tuple; got {factors!r}. Use {ROBUST_FACTORS}."
+        )
     motion = constant_velocity(sensor.axes, acceleration_density=scales.acceleration**2)
     common = () if uncertain is None else (uncertain,)
     modes = tuple(Mode(name, motion, (*common, Adaptive(name, likelihood, cap=cap)), intent="cv") for name in factors)
@@ -176,7 +190,7 @@ def robust_imm(
 
 def joint_imm(sensor: Sensor, scales: Scales) -> Bank:
     """Joint bank (ours): the intents of intent-imm times noise levels: manoeuvre and surge compete."""
-    return joint_bank(intent_imm(sensor, scales))
+    return joint_bank(intent_imm(sensor, scales), calm=scales.surge_every, surge=scales.surge_for)
 
 
 def _turn(axes: int, scales: Scales, wobble: float):  # type: ignore[no-untyped-def]
@@ -197,12 +211,12 @@ def _many(modes: list[Mode], sensor: Sensor, scales: Scales, interaction: str) -
 
 def sage_husa(sensor: Sensor, scales: Scales) -> Bank:
     """As kf-cv, learning how noisy the sensor is from the size of its innovations (Sage-Husa)."""
-    return kf_cv(sensor, scales)
+    return kf_cv(sensor, scales).with_(learns_noise=True)
 
 
 def vb_noise(sensor: Sensor, scales: Scales) -> Bank:
     """As kf-cv, learning how noisy the sensor is by variational Bayes (inverse Wishart)."""
-    return kf_cv(sensor, scales)
+    return kf_cv(sensor, scales).with_(learns_noise=True)
 
 
 RECIPES: dict[str, Callable[..., Bank]] = {
@@ -235,12 +249,12 @@ class LearnedModel(Protocol):
         ...
 
 
-def _as_learned(bank: Bank) -> Bank:
+def _as_learned(bank: Bank, calm: float = CALM, surge: float = SURGE) -> Bank:
     return bank
 
 
-LEARNED: dict[str, Callable[[Bank], Bank]] = {"intent-imm": _as_learned, "joint-imm": joint_bank}
-"""Recipes that take a learned model -> what they make of its bank."""
+LEARNED: dict[str, Callable[..., Bank]] = {"intent-imm": _as_learned, "joint-imm": joint_bank}
+"""Recipes that take a learned model -> what they make of its bank; ``calm``, ``surge`` as in `joint_bank`."""
 
 
 def make_estimator(
@@ -251,6 +265,8 @@ def make_estimator(
     speed: float = 10.0,
     turn_rate: float | None = None,
     sojourn: float = 10.0,
+    surge_every: float = CALM,
+    surge_for: float = SURGE,
     threads: int | None = None,
     model: LearnedModel | None = None,
 ) -> BankEstimator:
@@ -260,6 +276,7 @@ def make_estimator(
         name: one of `RECIPES`.
         sensor: what is measured; its axes are the estimator's.
         acceleration, speed, turn_rate, sojourn: see `Scales`; not used with a ``model``, which has its own.
+        surge_every, surge_for: see `Scales`; used by ``joint-imm``.
         threads: processor cores for many tracks; None: all.
         model: learned intents instead of those of the recipe; only for recipes in `LEARNED`.
 
@@ -271,16 +288,16 @@ def make_estimator(
     """
     if name not in RECIPES:
         raise ValueError(f"make_estimator: name must be one of {', '.join(RECIPES)}; got {name!r}. See `jink list`.")
+    scales = Scales(acceleration, speed, turn_rate, sojourn, surge_every, surge_for)
     if model is not None:
-        return BankEstimator(_learned_bank(name, sensor, model), name=name, threads=threads)
-    scales = Scales(acceleration=acceleration, speed=speed, turn_rate=turn_rate, sojourn=sojourn)
+        return BankEstimator(_learned_bank(name, sensor, model, scales), name=name, threads=threads)
     bank = RECIPES[name](sensor, scales)
     if name in ADAPTATIONS:
         return AdaptiveEstimator(bank, ADAPTATIONS[name], name=name, threads=threads)
     return BankEstimator(bank, name=name, threads=threads)
 
 
-def _learned_bank(name: str, sensor: Sensor, model: LearnedModel) -> Bank:
+def _learned_bank(name: str, sensor: Sensor, model: LearnedModel, scales: Scales) -> Bank:
     if name not in LEARNED:
         raise ValueError(
             f"make_estimator: model must be left out for {name}; got one. Recipes that take one: {', '.join(LEARNED)}."
@@ -290,4 +307,4 @@ def _learned_bank(name: str, sensor: Sensor, model: LearnedModel) -> Bank:
             f"make_estimator: model must have a method bank(sensor); got {model!r}. "
             "Load it first: jink.intent.model_file.load_model(folder)."
         )
-    return LEARNED[name](model.bank(sensor))
+    return LEARNED[name](model.bank(sensor), calm=scales.surge_every, surge=scales.surge_for)

@@ -76,6 +76,7 @@ class Outputs(NamedTuple):
     nis: Floats  # (B, T)
     nis_dof: NDArray[np.int64]  # (B, T)
     status: NDArray[np.int8]  # (B, T)
+    refused: NDArray[np.int8]  # (B, T) 1: measurement refused, 2: and the bank began again; see `restarting`
 
 
 class History(NamedTuple):
@@ -95,6 +96,7 @@ def make_outputs(tracks: int, rows: int, kin: int, modes: int) -> Outputs:
         nis=np.zeros((tracks, rows)),
         nis_dof=np.zeros((tracks, rows), dtype=np.int64),
         status=np.zeros((tracks, rows), dtype=np.int8),
+        refused=np.zeros((tracks, rows), dtype=np.int8),
     )
 
 

@@ -16,7 +16,12 @@ from jink.estimators.interaction import birth
 from jink.estimators.linalg import copy_vector
 from jink.estimators.records import ABSURD
 
-__all__ = ["begin_again", "refusals_agree", "widening"]
+__all__ = ["AGREED", "BEGUN", "REFUSED", "begin_again", "refusals_agree", "widening"]
+
+REFUSED, AGREED = 1, 2
+"""Sum of what `refusals_agree` found."""
+BEGUN = 2
+"""In ``Outputs.refused``: the bank began again after this row."""
 
 _BOUND = 3.0902323061678132
 """Normal quantile of 99.9 %."""
@@ -27,7 +32,9 @@ _NARROW, _MARGIN, _WIDEST, _WIDEST_ANGLE = 0.01, 2.0, 1e6, 0.3
 
 @inner_kernel
 def refusals_agree(refusals, whitened, present, nis, d):
-    """Whether refused measurements keep lying on the same side: about a dozen in a row, or more with gaps.
+    """Whether this measurement is refused, and whether refused ones keep lying on the same side.
+
+    That takes about a dozen in a row, or more with gaps.
 
     Model: ``u = L^-1 v / D``; where D^2 exceeds its bound ``c <- c + 0.1 (u' u_before - c)``, else ``c <- 0.95 c``;
     agreed where ``c > 0.65``. In a surge ``u' u_before`` has mean 0 and c a standard deviation of 0.23, 0.16, 0.13 for
@@ -38,11 +45,15 @@ def refusals_agree(refusals, whitened, present, nis, d):
         whitened: ``L^-1 v`` with the nominal S; (d, any), first column.
         present, nis, d: components present, nominal D^2, number of components.
 
+    Returns:
+        Sum of `REFUSED` and `AGREED`, or 0.
+
     Source: bound by Wilson & Hilferty (1931).
     """
     spread = 2.0 / (9.0 * d)
     root = 1.0 - spread + _BOUND * math.sqrt(spread)
-    if nis > d * root * root * root:
+    refused = nis > d * root * root * root
+    if refused:
         cosine = 0.0
         for a in range(d):
             u = whitened[a, 0] / math.sqrt(nis)
@@ -53,7 +64,7 @@ def refusals_agree(refusals, whitened, present, nis, d):
         refusals[1] *= 1.0 - _FADING
     agreed = refusals[1] > _AGREED
     refusals[0] = refusals[0] + 1.0 if agreed else 0.0
-    return agreed
+    return (REFUSED if refused else 0) + (AGREED if agreed else 0)
 
 
 @inner_kernel

@@ -54,6 +54,7 @@ Array = NDArray[np.float64]
 
 _SWEEPS = 60
 _SEARCH, _HALVINGS = 16.0, 52
+_ROUNDED = 1e-9
 
 
 @inner_kernel
@@ -394,7 +395,7 @@ class RobustFilter:
             prediction form must choose before it sees the measurement).
 
     Raises:
-        ValueError: shapes do not fit, a number is not finite, or ``alpha`` is not positive.
+        ValueError: shapes do not fit, a number is not finite, a noise is no covariance, or ``alpha`` is not positive.
     """
 
     transition: ArrayLike
@@ -409,6 +410,9 @@ class RobustFilter:
     optimise: bool = False
 
     def __post_init__(self) -> None:
+        for name in ("transition", "observation", "process_noise", "measurement_noise", "error", "excitation",
+                     "noise_gain", "noise_excitation"):  # fmt: skip
+            object.__setattr__(self, name, _matrix(name, getattr(self, name)))
         n = _size(self.transition, 0)
         if self.noise_gain is None:
             object.__setattr__(self, "noise_gain", np.eye(n))
@@ -429,7 +433,12 @@ class RobustFilter:
                 )
             value.setflags(write=False)
             object.__setattr__(self, name, value)
-        if not (self.alpha > 0 and math.isfinite(self.alpha)):
+        _check_covariance("RobustFilter: process_noise", self.process_noise, singular=True)
+        _check_covariance("RobustFilter: measurement_noise", self.measurement_noise, singular=False)
+        if not isinstance(self.optimise, bool):
+            raise ValueError(f"RobustFilter: optimise must be True or False; got {self.optimise!r}. Leave it out.")
+        number = isinstance(self.alpha, float | int | np.number) and not isinstance(self.alpha, bool)
+        if not (number and self.alpha > 0 and math.isfinite(self.alpha)):
             raise ValueError(
                 f"RobustFilter: alpha must be > 0 and finite; got {self.alpha!r}. Use 0.5, or optimise=True."
             )
@@ -502,6 +511,7 @@ class RobustFilter:
                     f"{caller}: {name} must be finite with shape {shape}; got {value.tolist()}. "
                     "Give the components that were measured to a filter of their own H and R."
                 )
+        _check_covariance(f"{caller}: cov", values[1], singular=True)
         total, width = model.F_transposed.shape
         m, P, means, covs = (np.zeros(width), np.zeros((n, width)), np.zeros((2, width)), np.zeros((2, total, width)))
         m[:n], P[:, :n] = values[0], values[1]
@@ -514,6 +524,30 @@ class RobustFilter:
             m, P, values[2], model, bound, self.alpha, search, n, q, first, work, game, means, covs
         )
         return means[:, :n], covs[:, :n, :n], float(regulation), float(cost)
+
+
+def _matrix(name: str, value: Any) -> Any:
+    """The value as an array; None, where it may be left out, stays."""
+    if value is None and name.startswith("noise_"):
+        return None
+    try:
+        return np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"RobustFilter: {name} must be a matrix of numbers; got {value!r}. Give a list of rows."
+        ) from None
+
+
+def _check_covariance(what: str, matrix: Any, *, singular: bool) -> None:
+    """Symmetric and positive (semi)definite, within rounding."""
+    matrix = np.asarray(matrix)
+    scale = float(np.abs(matrix).max())
+    symmetric = bool((np.abs(matrix - matrix.T) <= _ROUNDED * scale).all())
+    lowest = float(np.linalg.eigvalsh(0.5 * (matrix + matrix.T)).min())
+    if not symmetric or not (lowest >= -_ROUNDED * scale if singular else lowest > 0.0):
+        kind = "semidefinite" if singular else "definite"
+        found = f"eigenvalue {lowest:.3g}" if symmetric else "one that is not symmetric"
+        raise ValueError(f"{what} must be a covariance, positive {kind}; got {found}. Give variances and covariances.")
 
 
 def _size(matrix: Any, axis: int) -> int:

@@ -44,7 +44,8 @@ from jink.estimators.modes import process_noise
 from jink.estimators.program import BIRTH, program_at, work_at
 from jink.estimators.records import ABSURD
 from jink.estimators.reference import record_type, reference_reader
-from jink.estimators.status import OK, REPAIRED
+from jink.estimators.restarting import BEGUN, REFUSED
+from jink.estimators.status import MISSING, OK, REPAIRED
 from jink.estimators.unscented import point_weights, points_mean
 
 __all__ = ["Smoother", "make_smoother", "smooth_tracks"]
@@ -254,8 +255,14 @@ def _mixture(weights, means, covs, modes, n, mean, cov):
 
 
 @inner_kernel
-def _smooth_track(program, work, scratch, mean, cov, probs, times, chains, first, last, kin_mean, kin_cov, status):
-    """Overwrite filtered ``mean``, ``cov``, ``probs`` of rows ``first`` to ``last`` by smoothed ones."""
+def _smooth_track(
+    program, work, scratch, mean, cov, probs, times, chains, first, last, kin_mean, kin_cov, status, refused
+):
+    """Overwrite filtered ``mean``, ``cov``, ``probs`` of rows ``first`` to ``last`` by smoothed ones.
+
+    A bank that began again took nothing along from before: rows up to there, and those just before whose measurements
+    were refused, because the bank was lost already, learn nothing from later ones.
+    """
     modes = program.sizes.size
     pair_mean, pair_cov, weights, priors = scratch.pair_mean, scratch.pair_cov, scratch.weights, scratch.priors
     ahead_mean, ahead_cov, cross = scratch.ahead_mean, scratch.ahead_cov, scratch.cross
@@ -263,7 +270,11 @@ def _smooth_track(program, work, scratch, mean, cov, probs, times, chains, first
     factor, A, V, rows, gain, product = squares[0], squares[1], squares[2], squares[3], squares[4], squares[5]
     p, s, values, noises, line = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4]
     P, S = squares[6], squares[7]
+    lost = False
     for t in range(last - 1, first - 1, -1):
+        lost = refused[t + 1] == BEGUN or (lost and (refused[t + 1] == REFUSED or status[t + 1] == MISSING))
+        if lost:
+            continue
         dt = times[t + 1] - times[t]
         work.cached_dt[modes] = np.nan
         if chains.size > 0:
@@ -350,5 +361,5 @@ def smooth_tracks(program_handle, work_handle, scratch_handle, history, outputs,
         _smooth_track(
             program, work, scratch, history.mean[b], history.cov[b], outputs.mode_probs[b], inputs.times[row],
             chains, inputs.first[b], inputs.lengths[b] - 1, outputs.kin_mean[b], outputs.kin_cov[b],
-            outputs.status[b],
+            outputs.status[b], outputs.refused[b],
         )  # fmt: skip

@@ -8,10 +8,11 @@ from jink.estimators.compiled import inner_kernel
 from jink.estimators.linalg import cholesky, total
 from jink.estimators.records import ABSURD
 
-__all__ = ["drop_impossible_correlations", "sound_moments", "usable_components", "widen"]
+__all__ = ["believable_parameters", "drop_impossible_correlations", "sound_moments", "usable_components", "widen"]
 
 _FLOOR = 1e-14
 _ROUNDED = 1e-9
+_BELIEVABLE = 50.0
 
 
 @inner_kernel
@@ -68,6 +69,29 @@ def sound_moments(m, P, n, P_before):
             P[i, i] = max(_FLOOR * abs(P_before[i, i]), 0.0)
             result = 1
     return result
+
+
+@inner_kernel
+def believable_parameters(program, j, m, P):
+    """Whether own parameters of a nonlinear mode stayed within 50 standard deviations of their birth prior.
+
+    One that did not is born anew, uncorrelated. A gross innovation may throw a turn rate to many turns per sample:
+    sampled, such a turn looks like any motion there is, so no measurement ever brings it back.
+    """
+    believable = True
+    if program.linear[j]:
+        return True
+    n = program.sizes[j]
+    for k in range(program.own_counts[j]):
+        i, variance = program.own_index[j, k], program.birth_cov[j, k, k]
+        far = abs(m[i] - program.birth_mean[j, k])
+        most = _BELIEVABLE * _BELIEVABLE * variance
+        if variance > 0.0 and not program.angular[j, i] and not (far * far <= most and P[i, i] <= most):
+            for c in range(n):
+                P[i, c] = P[c, i] = 0.0
+            m[i], P[i, i] = program.birth_mean[j, k], variance
+            believable = False
+    return believable
 
 
 @inner_kernel

@@ -202,6 +202,12 @@ def test_published_example():
         ({"alpha": 0.0}, "RobustFilter: alpha must be > 0"),
         ({"error": 1.0}, "RobustFilter: error must be finite with shape"),
         ({"transition": 3.0}, "RobustFilter: transition must be finite with shape"),
+        ({"transition": "a"}, "RobustFilter: transition must be a matrix of numbers; got 'a'"),
+        ({"alpha": "a"}, "RobustFilter: alpha must be > 0 and finite; got 'a'"),
+        ({"optimise": "no"}, "RobustFilter: optimise must be True or False; got 'no'"),
+        ({"measurement_noise": [[-1.0]]}, "RobustFilter: measurement_noise must be a covariance, positive definite"),
+        ({"process_noise": [[1.0, 5.0], [5.0, 1.0]]}, "process_noise must be a covariance, positive semidefinite"),
+        ({"process_noise": [[1.0, 0.5], [0.0, 1.0]]}, "got one that is not symmetric"),
     ],
 )
 def test_bad_models_are_refused(change, sentence):
@@ -213,5 +219,7 @@ def test_bad_steps_are_refused():
     robust = RobustFilter(**EXAMPLE)
     with pytest.raises(ValueError, match=r"step_filtered: measurement must be finite with shape \(1,\)"):
         robust.step_filtered(np.zeros(2), np.eye(2), [np.nan])
+    with pytest.raises(ValueError, match="step_predicted: cov must be a covariance, positive semidefinite; got eigenv"):
+        robust.step_predicted(np.zeros(2), -np.eye(2), [0.0])
     with pytest.raises(ValueError, match=r"step_predicted: mean must be finite with shape \(2,\)"):
         robust.step_predicted(np.zeros(3), np.eye(2), [0.0])

@@ -98,6 +98,13 @@ def track_command(
     sojourn: Annotated[
         float | None, typer.Option(help="Mean time between changes of mode, s.", rich_help_panel=_MODEL)
     ] = None,
+    surge_every: Annotated[
+        float | None,
+        typer.Option(help="Mean time between noise surges, s (joint-imm).", rich_help_panel=_MODEL),
+    ] = None,
+    surge_for: Annotated[
+        float | None, typer.Option(help="Mean duration of a noise surge, s (joint-imm).", rich_help_panel=_MODEL)
+    ] = None,
     gate: Annotated[
         bool, typer.Option("--gate", help="Leave out measurements far from their own past.", rich_help_panel=_MODEL)
     ] = False,
@@ -145,6 +152,8 @@ def track_command(
             speed=speed,
             turn_rate=turn_rate,
             sojourn=sojourn,
+            surge_every=surge_every,
+            surge_for=surge_for,
             gate=gate,
             smooth=smooth,
             forecast=forecast,

@@ -80,7 +80,13 @@ def _print_outcome(console: Console, report: TrackReport) -> None:
         f"{100 * scores['nis_inside']:.0f} % of steps inside their 95 % band; "
         f"log-likelihood {number(scores['log_likelihood_per_step'])} per step"
     )
-    if len(report.modes) > 1:
+    noise = report.noise
+    if noise is not None and noise.intents:
+        console.print(
+            "time in intents: "
+            + ", ".join(f"{escape(name)} {100 * share:.0f} %" for name, share in noise.intents.items())
+        )
+    elif len(report.modes) > 1:
         known = used & (np.asarray(report.estimates.status) != STATUS_NAMES.index("starting"))
         shares = np.asarray(report.estimates.mode_probs)[known].mean(axis=0) if known.any() else []
         console.print(
@@ -89,6 +95,8 @@ def _print_outcome(console: Console, report: TrackReport) -> None:
                 f"{escape(name)} {100 * share:.0f} %" for name, share in zip(report.modes, shares, strict=False)
             )
         )
+    for sentence in noise.sentences if noise is not None else ():
+        console.print(escape(sentence))
     if report.rejected:
         console.print(f"{report.rejected} measurements left out by --gate")
     hint = outlier_hint(report.tracks, report.estimates, gated=report.rejected > 0)

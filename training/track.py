@@ -20,6 +20,7 @@ from jink.estimators.tracks import Tracks
 from jink.training.console import check_separate, check_writable, progress, say_when_compiling
 from jink.training.doubts import doubts_about
 from jink.training.models import find_model
+from jink.training.noise_reading import NoiseReading, judges_noise, read_noise
 from jink.training.options import parse_numbers, parse_pairs, parse_sigma
 from jink.training.running import Forecast, forecast_ends, gate_tracks, raw_positions, run_tracks
 from jink.training.tuning import sensor_of, tune
@@ -28,6 +29,7 @@ from jink.training.wording import in_own_words
 __all__ = ["Choice", "Parameter", "TrackReport", "TrackRequest", "choose", "estimate", "interval_of", "read", "track"]
 
 _SOJOURN_S, _WARM_ROWS = 10.0, 60
+_SURGE_ROWS = 2.0
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,8 @@ class TrackRequest:
     speed: float | None = None
     turn_rate: float | None = None
     sojourn: float | None = None
+    surge_every: float | None = None
+    surge_for: float | None = None
     gate: bool = False
     smooth: bool = False
     forecast: float | None = None
@@ -94,6 +98,7 @@ class TrackReport(NamedTuple):
     seconds: float
     rejected: int
     doubts: tuple[str, ...] = ()
+    noise: NoiseReading | None = None
 
 
 def track(request: TrackRequest) -> TrackReport:
@@ -120,6 +125,12 @@ def track(request: TrackRequest) -> TrackReport:
             f"--model: value must come with --estimator {' or '.join(LEARNED)}; got --estimator {request.estimator}. "
             "Change one of them."
         )
+    for name in ("surge_every", "surge_for"):
+        if getattr(request, name) is not None and request.estimator != "joint-imm":
+            raise ValueError(
+                f"--{name.replace('_', '-')}: value must come with --estimator joint-imm, which has noise levels; got "
+                f"--estimator {request.estimator}. Change one of them."
+            )
     check_writable(request.out, "--out", (".parquet", ".csv"))
     check_writable(request.plot, "--plot", (".png", ".pdf", ".svg"))
     inputs = {"the input file": request.file, "the file of --truth": request.truth}
@@ -133,7 +144,8 @@ def track(request: TrackRequest) -> TrackReport:
     with say_when_compiling():
         report = estimate(request, tracks, choose(request, tracks))
     if request.out is not None:
-        write_estimates(request.out, tracks, report.estimates, report.modes)
+        readings = None if report.noise is None else report.noise.columns
+        write_estimates(request.out, tracks, report.estimates, report.modes, readings)
     if request.plot is not None:
         from jink.training.plotting import plot_track
 
@@ -190,8 +202,17 @@ def _estimate(request: TrackRequest, tracks: Tracks, choice: Choice) -> TrackRep
         forecasts=forecasts,
         seconds=seconds,
         rejected=rejected,
-        doubts=doubts_about(request, tracks, interval_of(tracks)),
+        doubts=doubts_about(request, tracks, interval_of(tracks)) + _calm_sigma(estimator, choice),
+        noise=read_noise(estimator, used, estimates, use_noise=use_noise),
     )
+
+
+def _calm_sigma(estimator: Any, choice: Choice) -> tuple[str, ...]:
+    """Who judges the noise needs that of calm rows; tuning takes that of all rows."""
+    tuned = any(item.name.startswith("sigma_") and item.origin == "tuned" for item in choice.parameters)
+    if not tuned or not judges_noise(estimator):
+        return ()
+    return (f"sigma was tuned on all rows, surges included; {estimator.name} wants that of calm rows: give --sigma",)
 
 
 def _arrays(tracks: Tracks) -> dict[str, Any]:
@@ -216,7 +237,7 @@ def _check_numbers(request: TrackRequest) -> None:
         raise ValueError(
             f"--truth-columns: value must come with --truth; got '{request.truth_columns}' alone. Add --truth FILE."
         )
-    for name in ("acceleration", "speed", "turn_rate", "sojourn", "forecast"):
+    for name in ("acceleration", "speed", "turn_rate", "sojourn", "surge_every", "surge_for", "forecast"):
         value = getattr(request, name)
         low = -math.ulp(0.0) if name == "forecast" else 0.0
         if value is not None and not low < value < math.inf:
@@ -287,7 +308,9 @@ def _choose_learned(request: TrackRequest, name: str, tracks: Tracks) -> Choice:
     ]
     found.append(Parameter("speed", model.speed, "m/s", "model"))
     found.append(Parameter("intents", float(len(model.intents)), "", "model"))
-    return Choice(sensor_of(tracks, sigma), {"model": model}, tuple(found), use_noise)
+    surges = _surges(request, tracks)
+    options = {"model": model} | {item.name: item.value for item in surges}
+    return Choice(sensor_of(tracks, sigma), options, (*found, *surges), use_noise)
 
 
 def _choose(request: TrackRequest, tracks: Tracks) -> Choice:
@@ -317,7 +340,25 @@ def _choose(request: TrackRequest, tracks: Tracks) -> Choice:
             value, source = min(tuning.acceleration / tuning.speed, 1.0), "default"
         found.append(Parameter(name, value, unit, source))
         options[name] = value
+    surges = _surges(request, tracks)
+    found += surges
+    options |= {item.name: item.value for item in surges}
     return Choice(sensor_of(tracks, tuning.sigma), options, tuple(found), use_noise)
+
+
+def _surges(request: TrackRequest, tracks: Tracks) -> list[Parameter]:
+    """How often the noise surges and for how long, s, for the estimator that has such parameters."""
+    from jink.estimators.joint import CALM, SURGE
+
+    if request.estimator != "joint-imm":
+        return []
+    # A surge of less than a row or two could not be told from an outlier, and the share of surges stays the same.
+    least = _SURGE_ROWS * interval_of(tracks)
+    surge, source = (request.surge_for, "given") if request.surge_for else (SURGE, "default")
+    if request.surge_for is None and least > SURGE:
+        surge, source = least, "interval"
+    every, origin = (request.surge_every, "given") if request.surge_every else (surge * CALM / SURGE, source)
+    return [Parameter("surge_every", every, "s", origin), Parameter("surge_for", surge, "s", source)]
 
 
 def _default_sojourn(tracks: Tracks) -> tuple[float, str]:
