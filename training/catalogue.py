@@ -16,6 +16,7 @@ __all__ = ["SUITES", "print_catalogue"]
 
 SUITES = {
     "published": "scenarios with published results, ours beside them",
+    "multi-target": "scenes of many targets in clutter: GOSPA, misses, false tracks, identity switches, time",
     "recorded": "recorded tracks in a folder: errors where there is truth, predictions elsewhere",
 }
 
@@ -33,8 +34,10 @@ def print_catalogue(console: Console) -> None:
     from jink.estimators.motions import MOTIONS
     from jink.estimators.recipes import RECIPES
     from jink.estimators.sensors import SENSORS
+    from jink.training.many_estimators import MANY
 
     _print_section(console, "estimators", {name: _first_line(make) for name, make in RECIPES.items()})
+    _print_section(console, "estimators of many targets", {name: _first_line(make) for name, make in MANY.items()})
     _print_section(console, "motions", {name: _first_line(make) for name, make in MOTIONS.items()})
     _print_section(console, "sensors", {name: _first_line(make) for name, make in SENSORS.items()})
     _print_section(console, "environments", {name: _environment(options) for name, options in ENVIRONMENTS.items()})

@@ -19,6 +19,7 @@ from jink.estimators.sensor import Sensor
 from jink.estimators.tracks import Tracks
 from jink.training.console import check_separate, check_writable, progress, say_when_compiling
 from jink.training.doubts import doubts_about
+from jink.training.many_estimators import MANY
 from jink.training.options import parse_numbers, parse_pairs, parse_sigma
 from jink.training.running import Forecast, forecast_ends, gate_tracks, raw_positions, run_tracks
 from jink.training.tuning import sensor_of, tune
@@ -27,6 +28,8 @@ from jink.training.wording import in_own_words
 __all__ = ["Choice", "Parameter", "TrackReport", "TrackRequest", "choose", "estimate", "interval_of", "read", "track"]
 
 _SOJOURN_S, _WARM_ROWS = 10.0, 60
+_MANY_ONLY = ("detection", "clutter", "gate_size", "window", "network", "film")
+"""Options of trackers of many targets; see `jink.training.track_many`."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,12 @@ class TrackRequest:
     out: Path | None = None
     plot: Path | None = None
     shown: str | None = None
+    detection: float | None = None
+    clutter: float | None = None
+    gate_size: float | None = None
+    window: int | None = None
+    network: Path | None = None
+    film: Path | None = None
 
 
 class Parameter(NamedTuple):
@@ -111,8 +120,14 @@ def track(request: TrackRequest) -> TrackReport:
 
     if request.estimator not in RECIPES:
         raise ValueError(
-            f"--estimator: name must be one of {', '.join(RECIPES)}; got '{request.estimator}'. See jink list."
+            f"--estimator: name must be one of {', '.join((*RECIPES, *MANY))}; got '{request.estimator}'. See jink list."
         )
+    for name in _MANY_ONLY:
+        if getattr(request, name) is not None:
+            raise ValueError(
+                f"--{name.replace('_', '-')}: option must be left out of {request.estimator}, which follows one target "
+                f"per track; got {getattr(request, name)}. Use one of {', '.join(MANY)}."
+            )
     check_writable(request.out, "--out", (".parquet", ".csv"))
     check_writable(request.plot, "--plot", (".png", ".pdf", ".svg"))
     inputs = {"the input file": request.file, "the file of --truth": request.truth}
