@@ -16,8 +16,8 @@ __all__ = ["SUITES", "print_catalogue"]
 
 SUITES = {
     "published": "scenarios with published results, ours beside them",
-    "multi-target": "scenes of many targets in clutter: GOSPA, misses, false tracks, identity switches, time",
     "recorded": "recorded tracks in a folder: errors where there is truth, predictions elsewhere",
+    "multi-target": "scenes of many targets in clutter: GOSPA, misses, false tracks, identity switches, time",
 }
 
 
