@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 
-from jink.training.plotting import MODE_COLOURS, plt  # its backend draws without a display
+from jink.training.plotting import MODE_COLOURS  # its backend draws without a display
 from jink.training.track_many import ManyReport
 
 __all__ = ["plot_many"]

@@ -67,9 +67,7 @@ def _states(mean: Array, cov: Array) -> dict[str, Array]:
     sigma = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0))
     columns = {label: mean[:, i] for i, label in enumerate(labels)}
     columns |= {f"sd_{label}": sigma[:, i] for i, label in enumerate(labels)}
-    return columns | {
-        f"cov_{labels[i]}_{labels[j]}": cov[:, i, j] for i in range(width) for j in range(i + 1, width)
-    }
+    return columns | {f"cov_{labels[i]}_{labels[j]}": cov[:, i, j] for i in range(width) for j in range(i + 1, width)}
 
 
 def _first_rows(ids: NDArray[np.int64]) -> NDArray[np.bool_]:

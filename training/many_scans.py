@@ -131,11 +131,11 @@ def guess(scans: Scans, speed: float | None, acceleration: float | None, scales:
     best: tuple[float, float, MultiTracks | None] = (-1.0, speed or SPEEDS[1], None)
     for tried in SPEEDS if speed is None else (speed,):
         told = replace(scales, speed=tried, acceleration=acceleration or tried / SPEED_TO_ACCELERATION)
-        found = Gnn(told.motion, gate=told.gate**2, initiation=told.initiation).run(head)
-        explained = float(found.hits.sum())
+        tracked = Gnn(told.motion, gate=told.gate**2, initiation=told.initiation).run(head)
+        explained = float(tracked.hits.sum())
         # A wider guess must explain clearly more: it also takes in more clutter.
         if explained > 1.05 * best[0] + 1e-9 or best[2] is None:
-            best = explained, tried, found
+            best = explained, tried, tracked
     _, chosen, found = best
     if speed is None and found is not None and len(found.mean):
         velocity = found.mean[found.hits > 0.5, scans.axes :]

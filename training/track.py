@@ -120,7 +120,8 @@ def track(request: TrackRequest) -> TrackReport:
 
     if request.estimator not in RECIPES:
         raise ValueError(
-            f"--estimator: name must be one of {', '.join((*RECIPES, *MANY))}; got '{request.estimator}'. See jink list."
+            f"--estimator: name must be one of {', '.join((*RECIPES, *MANY))}; got '{request.estimator}'. "
+            "See jink list."
         )
     for name in _MANY_ONLY:
         if getattr(request, name) is not None:
