@@ -1,6 +1,8 @@
 """Many targets through the command line: scans, networks, pictures, refusals, hostile files, the suite."""
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -8,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from jink.envs.reading import graph_file
 from jink.envs.reading.graph_file import read_graph
 from jink.training import many_suite
 from jink.training.cli import main
@@ -170,8 +173,6 @@ def test_a_sensor_that_locates_nothing_says_so(tmp_path, capsys):
     ],
 )
 def test_refusals(scans, capsys, arguments, sentence):
-    import re
-
     assert re.search(sentence, refused(capsys, scans, *arguments))
 
 
@@ -188,8 +189,6 @@ def test_refusals(scans, capsys, arguments, sentence):
     ],
 )
 def test_bad_files(tmp_path, capsys, text, sentence):
-    import re
-
     path = tmp_path / "bad.csv"
     path.write_text(text)
     assert re.search(sentence, refused(capsys, path, "-e", "pmht", "--sigma", 5))
@@ -218,8 +217,6 @@ def test_bad_files(tmp_path, capsys, text, sentence):
     ],
 )
 def test_bad_graphs(scans, tmp_path, capsys, change, sentence):
-    import re
-
     path = tmp_path / "graph.json"
     path.write_text(change if isinstance(change, str) else json.dumps(GRAPH | change))
     err = refused(capsys, scans, "-e", "distributed-pmht", "--sigma", 5, "--network", path)
@@ -230,7 +227,7 @@ def test_bad_graphs(scans, tmp_path, capsys, change, sentence):
 def test_a_graph_without_an_entry_or_a_sensor(scans, tmp_path, capsys):
     path = tmp_path / "graph.json"
     path.write_text(json.dumps({name: value for name, value in GRAPH.items() if name != "links"}))
-    with pytest.raises(ValueError, match="read_graph: graph.json must have nodes, sensors, links .* got no links"):
+    with pytest.raises(ValueError, match=r"read_graph: graph\.json must have nodes, sensors, links .* got no links"):
         read_graph(path)
     path.write_text(json.dumps(GRAPH | {"sensors": {"s0": "a"}}))
     err = refused(capsys, scans, "-e", "distributed-pmht", "--sigma", 5, "--network", path)
@@ -309,3 +306,26 @@ def test_the_list_names_them(capsys):
     text = capsys.readouterr().out
     for name in (*MANY, "multi-target"):
         assert name in text
+
+
+def test_the_document_runs(tmp_path, monkeypatch):
+    """All Python blocks of the page are one script; its network is one that can be read."""
+    monkeypatch.chdir(tmp_path)
+    page = Path(__file__).resolve().parent.parent / "docs" / "multi_target.md"
+    text = page.read_text(encoding="utf-8")
+    names = {}
+    for number, block in enumerate(re.findall(r"^```python\n(.*?)^```$", text, re.S | re.M)):
+        exec(compile(block, f"multi_target.md, block {number}", "exec"), names)
+    (found,) = re.findall(r"^```json\n(.*?)^```$", text, re.S | re.M)
+    Path("graph.json").write_text(found)
+    assert read_graph("graph.json").nodes == ("mast", "buoy", "relay")
+    for option in set(re.findall(r"`(--[a-z-]+)`", text)):
+        assert option.removeprefix("--").replace("-", "_") in TrackRequest.__dataclass_fields__, option
+
+
+def test_the_example_of_the_format_is_read(tmp_path):
+    (found,) = re.findall(r"```json\n(.*?)```", graph_file.__doc__, re.S)
+    (tmp_path / "graph.json").write_text(found)
+    plan = read_graph(tmp_path / "graph.json")
+    assert plan.sensors == {"radar": 0, "lidar": 1}
+    assert plan.weights[0, 1] == 0.3
