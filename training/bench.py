@@ -19,7 +19,7 @@ from jink.training.console import check_writable, progress, say_when_compiling
 from jink.training.recorded_scores import score_report
 from jink.training.recorded_suite import ESTIMATORS, list_files, list_flags
 from jink.training.rows import Cell, append_rows, commit, finished_cells, hash_files, make_rows, now, read_rows
-from jink.training.tables import print_published, print_recorded
+from jink.training.tables import print_many_suite, print_published, print_recorded
 from jink.training.track import choose, estimate, read
 
 __all__ = ["BenchRequest", "bench"]
@@ -72,7 +72,7 @@ def bench(request: BenchRequest, console: Console) -> int:
     check_writable(request.out, "--out", (".parquet",))
     with ExitStack() as stack:
         out = request.out or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "rows.parquet"
-        jobs = list(_published(request) if request.suite == "published" else _recorded(request))
+        jobs = list(_JOBS[request.suite](request))
         done = finished_cells(read_rows(out))
         todo = [job for job in jobs if job.cell not in done]
         stack.enter_context(say_when_compiling())
@@ -85,7 +85,7 @@ def bench(request: BenchRequest, console: Console) -> int:
     wanted = {job.cell for job in jobs}
     mine = [Cell(*key) in wanted for key in rows[list(Cell._fields)].itertuples(index=False, name=None)]
     rows = rows[mine]
-    (print_published if request.suite == "published" else print_recorded)(console, rows)
+    _TABLES[request.suite](console, rows)
     if len(todo) < len(jobs):
         console.print(f"{len(jobs) - len(todo)} of {len(jobs)} cells were already in {out.name}", markup=False)
     if request.out is not None:
@@ -96,7 +96,7 @@ def bench(request: BenchRequest, console: Console) -> int:
 def _refuse_unused(request: BenchRequest) -> None:
     """Options that the suite would not look at: whoever gives them expects something else."""
     given = {"--data": request.data, "--quick": request.quick or None, "--runs": request.runs, "--seed": request.seed}
-    unused = ("--data",) if request.suite == "published" else ("--quick", "--runs", "--seed")
+    unused = ("--quick", "--runs", "--seed") if request.suite == "recorded" else ("--data",)
     for option in unused:
         if given[option] is not None:
             raise ValueError(
@@ -185,3 +185,27 @@ def _recorded(request: BenchRequest) -> Iterator[Job]:
         for estimator in ESTIMATORS if file.request is not None else ("raw",):
             cell = Cell("recorded", file.name, estimator, 1, 0, commit(), data)
             yield Job(cell, lambda started, file=file, cell=cell: compute(file, cell, started))  # type: ignore[misc]
+
+
+def _many(request: BenchRequest) -> Iterator[Job]:
+    from jink.training.many_suite import CUTOFF, MANY_CELLS, QUICK, RUNS, ManyCell, run_many
+
+    def compute(known: ManyCell, cell: Cell, started: str) -> pd.DataFrame:
+        began = time.perf_counter()
+        values, scans = run_many(known, cell.runs, cell.seed)
+        told = {"acceleration": known.scales.acceleration, "speed": known.scales.speed, "cutoff": CUTOFF}
+        return make_rows(
+            cell, values, parameters=told, steps=scans, seconds=time.perf_counter() - began, started=started
+        )  # fmt: skip
+
+    runs = request.runs or (3 if request.quick else RUNS)
+    seed = _SEED if request.seed is None else request.seed
+    for known in MANY_CELLS:
+        if request.quick and known.scene not in QUICK:
+            continue
+        cell = Cell("multi-target", known.scene, known.estimator, runs, seed, commit())
+        yield Job(cell, lambda started, known=known, cell=cell: compute(known, cell, started))  # type: ignore[misc]
+
+
+_JOBS = {"published": _published, "recorded": _recorded, "multi-target": _many}
+_TABLES = {"published": print_published, "recorded": print_recorded, "multi-target": print_many_suite}

@@ -17,6 +17,7 @@ __all__ = ["SUITES", "print_catalogue"]
 SUITES = {
     "published": "scenarios with published results, ours beside them",
     "recorded": "recorded tracks in a folder: errors where there is truth, predictions elsewhere",
+    "multi-target": "scenes of many targets in clutter: GOSPA, misses, false tracks, identity switches, time",
 }
 
 
@@ -34,9 +35,11 @@ def print_catalogue(console: Console) -> None:
     from jink.estimators.recipes import RECIPES
     from jink.estimators.sensors import SENSORS
     from jink.intent.pretrained import pretrained_names
+    from jink.training.many_estimators import MANY
 
     _print_section(console, "estimators", {name: _first_line(make) for name, make in RECIPES.items()})
     _print_section(console, "learned models", {name: _model(name) for name in pretrained_names()})
+    _print_section(console, "estimators of many targets", {name: _first_line(make) for name, make in MANY.items()})
     _print_section(console, "motions", {name: _first_line(make) for name, make in MOTIONS.items()})
     _print_section(console, "sensors", {name: _first_line(make) for name, make in SENSORS.items()})
     _print_section(console, "environments", {name: _environment(options) for name, options in ENVIRONMENTS.items()})

@@ -5,12 +5,15 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from jink.training.cli_intents import add_commands
 from jink.training.console import run_command, say_when_compiling, screen
+
+if TYPE_CHECKING:
+    from jink.training.track import TrackRequest
 
 __all__ = ["app", "main"]
 
@@ -40,8 +43,15 @@ Examples:
   jink track flight.csv --where fresh=1 --columns z=alt_m --smooth --out flight.csv
 
   jink track radar.csv --estimator intent-imm --model model/
+
+Many targets in clutter, from detections without names (rows that share time and sensor are a scan):
+
+  jink track scans.csv --estimator pmht --sigma 5 --out tracks.csv --plot tracks.png --film tracks.gif
+
+  jink track scans.csv --estimator distributed-pmht --network graph.json --out tracks.parquet
 """
 _READING, _MODEL, _OUTPUT = "Reading the file", "What is assumed", "What comes out"
+_MANY_MODEL = "What is assumed of many targets (pmht, gnn, jpda, distributed-pmht)"
 
 
 @app.command("track", help=_TRACK_HELP)
@@ -108,6 +118,22 @@ def track_command(
     gate: Annotated[
         bool, typer.Option("--gate", help="Leave out measurements far from their own past.", rich_help_panel=_MODEL)
     ] = False,
+    detection: Annotated[
+        float | None, typer.Option(help="Chance that a target is detected in a scan.", rich_help_panel=_MANY_MODEL)
+    ] = None,
+    clutter: Annotated[
+        float | None, typer.Option(help="False alarms per scan of a sensor.", rich_help_panel=_MANY_MODEL)
+    ] = None,
+    gate_size: Annotated[
+        float | None,
+        typer.Option(help="Detections farther away are no candidates; sd, default 5.", rich_help_panel=_MANY_MODEL),
+    ] = None,
+    window: Annotated[
+        int | None, typer.Option(help="Scans explained together; default 10.", rich_help_panel=_MANY_MODEL)
+    ] = None,
+    network: Annotated[
+        Path | None, typer.Option(help="Nodes, sensors and links: graph.json.", rich_help_panel=_MANY_MODEL)
+    ] = None,
     smooth: Annotated[
         bool,
         typer.Option("--smooth", help="Use later measurements too.", rich_help_panel=_OUTPUT),
@@ -125,12 +151,14 @@ def track_command(
     show: Annotated[
         str | None, typer.Option(help="Track to draw; default the longest.", rich_help_panel=_OUTPUT)
     ] = None,
+    film: Annotated[
+        Path | None, typer.Option(help="Many targets: playback to this .gif or .mp4.", rich_help_panel=_OUTPUT)
+    ] = None,
 ) -> None:
     """Estimate the tracks of a file."""
-    from jink.training.summary import print_report
-    from jink.training.track import TrackRequest, track
+    from jink.training.track import TrackRequest
 
-    report = track(
+    _track(
         TrackRequest(
             file=file,
             estimator=estimator,
@@ -160,11 +188,32 @@ def track_command(
             out=out,
             plot=plot,
             shown=show,
+            detection=detection,
+            clutter=clutter,
+            gate_size=gate_size,
+            window=window,
+            network=network,
+            film=film,
         )
     )
+
+
+def _track(request: TrackRequest) -> None:
+    """Run a request and print what came out."""
+    from jink.training.many_estimators import MANY
+
     console = screen()
-    print_report(console, report)
-    for path in (out, plot):
+    if request.estimator in MANY:
+        from jink.training.many_summary import print_many
+        from jink.training.track_many import track_many
+
+        print_many(console, track_many(request))
+    else:
+        from jink.training.summary import print_report
+        from jink.training.track import track
+
+        print_report(console, track(request))
+    for path in (request.out, request.plot, request.film):
         if path is not None:
             console.print(f"wrote {path}", markup=False)
 
@@ -191,12 +240,14 @@ Examples:
   jink bench --suite published --runs 200 --out rows.parquet
 
   jink bench --suite recorded --data DIR --out rows.parquet
+
+  jink bench --suite multi-target --quick
 """
 
 
 @app.command("bench", help=_BENCH_HELP)
 def bench_command(
-    suite: Annotated[str, typer.Option(help="published or recorded.")],
+    suite: Annotated[str, typer.Option(help="published, recorded or multi-target.")],
     quick: Annotated[bool, typer.Option("--quick", help="A first answer within a minute.")] = False,
     out: Annotated[Path | None, typer.Option(help="Rows to this .parquet; appended.")] = None,
     data: Annotated[Path | None, typer.Option(help="Folder of recorded tracks.")] = None,

@@ -13,7 +13,7 @@ from rich.markup import escape
 from jink.training.recorded_suite import ESTIMATORS
 from jink.training.summary import number, plain_table
 
-__all__ = ["print_published", "print_recorded"]
+__all__ = ["print_many_suite", "print_published", "print_recorded"]
 
 
 def print_published(console: Console, rows: pd.DataFrame) -> None:
@@ -79,6 +79,28 @@ def print_recorded(console: Console, rows: pd.DataFrame) -> None:
     for reason, group in skipped.groupby("reason", sort=False):
         names = ", ".join(dict.fromkeys(_short(name) for name in group["scenario"]))
         console.print(f"skipped, {escape(str(reason))}: {escape(names)}", style="dim")
+    _print_reasons(console, rows)
+
+
+def print_many_suite(console: Console, rows: pd.DataFrame) -> None:
+    """GOSPA with half of its 95 % interval, its parts in numbers of targets, identity switches and time."""
+    values = rows[rows["metric"] != ""]
+    table = plain_table(
+        "scene", "tracker", "GOSPA m", "missed", "false", "switches", "breaks", "ms/scan", "runs",
+        title="many targets from detections alone; means over scans and runs", words=2,
+    )  # fmt: skip
+    last = ""
+    for (scene, tracker), cell in values.groupby(["scenario", "estimator"], sort=False):
+        by_metric = {row.metric: row for row in cell.itertuples()}
+        if "gospa" not in by_metric:
+            continue
+        shown = [number(_number(by_metric["gospa"].value), 3) + _spread(by_metric["gospa"])]
+        shown += [number(_number(by_metric[name].value), 2) for name in ("missed", "false", "switches", "breaks")]
+        shown += [number(_number(by_metric["time"].value), 2), str(by_metric["gospa"].runs)]
+        table.add_row(str(scene) if scene != last else "", str(tracker), *shown)
+        last = str(scene)
+    if len(values):
+        console.print(table)
     _print_reasons(console, rows)
 
 

@@ -19,6 +19,7 @@ from jink.estimators.sensor import Sensor
 from jink.estimators.tracks import Tracks
 from jink.training.console import check_separate, check_writable, progress, say_when_compiling
 from jink.training.doubts import doubts_about
+from jink.training.many_estimators import MANY
 from jink.training.models import find_model
 from jink.training.noise_reading import NoiseReading, judges_noise, read_noise
 from jink.training.options import parse_numbers, parse_pairs, parse_sigma
@@ -30,6 +31,8 @@ __all__ = ["Choice", "Parameter", "TrackReport", "TrackRequest", "choose", "esti
 
 _SOJOURN_S, _WARM_ROWS = 10.0, 60
 _SURGE_ROWS = 2.0
+_MANY_ONLY = ("detection", "clutter", "gate_size", "window", "network", "film")
+"""Options of trackers of many targets; see `jink.training.track_many`."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,12 @@ class TrackRequest:
     out: Path | None = None
     plot: Path | None = None
     shown: str | None = None
+    detection: float | None = None
+    clutter: float | None = None
+    gate_size: float | None = None
+    window: int | None = None
+    network: Path | None = None
+    film: Path | None = None
 
 
 class Parameter(NamedTuple):
@@ -118,7 +127,8 @@ def track(request: TrackRequest) -> TrackReport:
 
     if request.estimator not in RECIPES:
         raise ValueError(
-            f"--estimator: name must be one of {', '.join(RECIPES)}; got '{request.estimator}'. See jink list."
+            f"--estimator: name must be one of {', '.join((*RECIPES, *MANY))}; got '{request.estimator}'. "
+            "See jink list."
         )
     if request.model is not None and request.estimator not in LEARNED:
         raise ValueError(
@@ -130,6 +140,12 @@ def track(request: TrackRequest) -> TrackReport:
             raise ValueError(
                 f"--{name.replace('_', '-')}: value must come with --estimator joint-imm, which has noise levels; got "
                 f"--estimator {request.estimator}. Change one of them."
+            )
+    for name in _MANY_ONLY:
+        if getattr(request, name) is not None:
+            raise ValueError(
+                f"--{name.replace('_', '-')}: option must be left out of {request.estimator}, which follows one target "
+                f"per track; got {getattr(request, name)}. Use one of {', '.join(MANY)}."
             )
     check_writable(request.out, "--out", (".parquet", ".csv"))
     check_writable(request.plot, "--plot", (".png", ".pdf", ".svg"))
