@@ -124,7 +124,8 @@ def _cuts(tracks: Tracks, size: int) -> list[tuple[int, int, int]]:
 def _cut(tracks: Tracks, cuts: list[tuple[int, int, int]]) -> Tracks:
     noise = tracks.noise
     assert noise is not None  # `positions_of` gives every row one
-    ids, used = [], {}
+    ids: list[str] = []
+    used: dict[str, int] = {}
     for b, low, _ in cuts:
         name = tracks.ids[b] if low == 0 else f"{tracks.ids[b]} from row {low}"
         used[name] = used.get(name, 0) + 1
