@@ -127,7 +127,7 @@ def _bank(name: str, sensor: Sensor, interaction: str, rng: np.random.Generator)
     axes = sensor.axes
     if name in RECIPES:
         scales = Scales(_log_uniform(rng, 1e-3, 1e3), _log_uniform(rng, 0.1, 1e4), None, _log_uniform(rng, 0.1, 1e4))
-        bank = RECIPES[name](sensor, scales)
+        bank = RECIPES[name](sensor, scales).with_(learns_noise=False)  # problems are run by a BankEstimator
         return bank.with_(interaction=interaction) if len(bank.modes) > 1 else bank
     strong = _log_uniform(rng, 1e-6, 1e6)
     straight = [

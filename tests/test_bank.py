@@ -723,8 +723,8 @@ def test_run_is_a_loop_of_step_and_a_batch_is_its_tracks(name, scene):
 def test_threads_change_nothing(name):
     rng = np.random.default_rng(12)
     z, times = walk(rng, rows=60, tracks=80) * 2, np.arange(60.0)
-    make = ESTIMATORS[name](position(2, 1.0)).bank
-    one, two = (BankEstimator(make, threads=k) for k in (1, 2))
+    one, two = ESTIMATORS[name](position(2, 1.0)), ESTIMATORS[name](position(2, 1.0))
+    one.threads, two.threads = 1, 2
     for left, right in zip(one.run(z, times), two.run(z, times), strict=True):
         np.testing.assert_array_equal(left, right)
     seen = []
