@@ -141,7 +141,8 @@ class NetworkStep:
     def _sound(self, cov: Array) -> Array:
         """Covariances that rounding has not spoilt; spoilt ones, of lost targets, without their correlations."""
         n = cov.shape[-1]
-        bad = ~np.isfinite(to_moments(Information(np.zeros(cov.shape[:-1]), cov))[1]).all(axis=(-1, -2))
+        inverse = to_moments(Information(np.zeros(cov.shape[:-1]), cov))[1]
+        bad = np.asarray(~np.isfinite(inverse).all(axis=(-1, -2)))
         if not bad.any():
             return cov
         self.trouble += int(bad.sum())
