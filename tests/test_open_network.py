@@ -1,5 +1,7 @@
 """A network that finds its targets itself: matching, births, ends, faults, bytes."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from jink.estimators.multitarget.faults import Faults
 from jink.estimators.multitarget.gnn import Gnn
 from jink.estimators.multitarget.initiation import Initiation
 from jink.estimators.multitarget.network_state import frames_of
+from jink.estimators.multitarget.network_step import NetworkStep
 from jink.estimators.multitarget.open_network import OpenNetwork, match
 from jink.estimators.multitarget.scan_sensor import ScanSensor
 from jink.estimators.multitarget.scans import Scans
@@ -148,3 +151,11 @@ def test_match_is_one_to_one_older_first_then_nearest():
 def test_refusals(name):
     with pytest.raises(ValueError, match=f"OpenNetwork: {name} must be > 0; got 0"):
         OpenNetwork(make_network().tracker, **{name: 0})
+
+
+def test_a_covariance_that_rounding_spoilt_loses_its_correlations():
+    good, spoilt = np.array([[4.0, 1.0], [1.0, 9.0]]), np.array([[1.0, 2.0], [2.0, 1.0]])
+    step = SimpleNamespace(trouble=0)
+    found = NetworkStep._sound(step, np.stack([good, spoilt, np.full((2, 2), np.nan)])[None])
+    np.testing.assert_array_equal(found[0], [good, np.eye(2), 1e30 * np.eye(2)])
+    assert step.trouble == 2

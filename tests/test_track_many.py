@@ -1,5 +1,6 @@
 """Many targets through the command line: scans, networks, pictures, refusals, hostile files, the suite."""
 
+import importlib.util
 import json
 import re
 from pathlib import Path
@@ -12,12 +13,14 @@ from hypothesis import strategies as st
 
 from jink.envs.reading import graph_file
 from jink.envs.reading.graph_file import read_graph
+from jink.estimators.multitarget.pmht import Pmht
 from jink.training import many_suite
 from jink.training.cli import main
 from jink.training.many_estimators import MANY
 from jink.training.track import TrackRequest, track
 from jink.training.track_many import track_many
 
+ROOT = Path(__file__).resolve().parent.parent
 START = np.array([[0.0, 0.0, 10.0, 0.0], [0.0, 300.0, 10.0, -2.0]])
 GRAPH = {"nodes": ["a", "relay", "b"], "sensors": {"s0": "a", "s1": "b"}, "links": [["a", "relay"], ["relay", "b"]]}
 
@@ -311,7 +314,7 @@ def test_the_list_names_them(capsys):
 def test_the_document_runs(tmp_path, monkeypatch):
     """All Python blocks of the page are one script; its network is one that can be read."""
     monkeypatch.chdir(tmp_path)
-    page = Path(__file__).resolve().parent.parent / "docs" / "multi_target.md"
+    page = ROOT / "docs" / "multi_target.md"
     text = page.read_text(encoding="utf-8")
     names = {}
     for number, block in enumerate(re.findall(r"^```python\n(.*?)^```$", text, re.S | re.M)):
@@ -329,3 +332,23 @@ def test_the_example_of_the_format_is_read(tmp_path):
     plan = read_graph(tmp_path / "graph.json")
     assert plan.sensors == {"radar": 0, "lidar": 1}
     assert plan.weights[0, 1] == 0.3
+
+
+def test_recorded_boats_are_held_through_their_crossing(data_dir):
+    """Radar and lidar on a moving ship: each boat keeps one track while they are within 60 m of each other."""
+    path = ROOT / "benchmarks" / "autoferry.py"
+    spec = importlib.util.spec_from_file_location("autoferry", path)
+    autoferry = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(autoferry)
+    scans, truth = autoferry.load(data_dir / "autoferry", 2, ("radar", "lidar"))
+    tracker = Pmht(autoferry.MOTION, initiation=autoferry.INITIATION)
+    for tracks in (tracker.run(scans).sets()[1], autoferry.distributed(scans)[1]):
+        found = autoferry.score(tracks, truth)
+        assert found.one_track == 1.0
+        assert found.held.min() > 0.9
+        assert found.neutral > 5
+    # A track far from both boats costs nothing, one beside a boat does.
+    far, beside = truth[:1] + 500.0, truth[:1] + 5.0
+    perfect = autoferry.score(truth, truth)
+    assert perfect.gospa == autoferry.score(np.concatenate([truth, far]), truth).gospa < 1e-9
+    assert autoferry.score(np.concatenate([truth, beside]), truth).false == 1.0

@@ -121,7 +121,7 @@ class NetworkStep:
             exchange = consensus.exchange(self.state.time, number)
             self.messages += exchange.messages
             self.exchanges += 1
-            x, P = self.paths.ahead[:, now, base + k], self.paths.ahead_cov[:, now, base + k]
+            x, P = self.paths.ahead[:, now, base + k], self._sound(self.paths.ahead_cov[:, now, base + k])
             fused = consensus_update(
                 from_moments(x, P),
                 Information(self.dq[:, now, k], self.dOmega[:, now, k]),
@@ -137,6 +137,17 @@ class NetworkStep:
         if tracker.order == "V2":
             for node in self.scans:
                 self._smooth(node, base)
+
+    def _sound(self, cov: Array) -> Array:
+        """Covariances that rounding has not spoilt; spoilt ones, of lost targets, without their correlations."""
+        n = cov.shape[-1]
+        inverse = to_moments(Information(np.zeros(cov.shape[:-1]), cov))[1]
+        bad = np.asarray(~np.isfinite(inverse).all(axis=(-1, -2)))
+        if not bad.any():
+            return cov
+        self.trouble += int(bad.sum())
+        variances = np.nan_to_num(np.diagonal(cov, axis1=-2, axis2=-1), nan=1e30, posinf=1e30)
+        return np.where(bad[..., None, None], np.clip(variances, 1e-12, 1e30)[..., None] * np.eye(n), cov)
 
     def _smooth(self, node: int, first: int) -> None:
         """Smoothed path of a node from index ``first`` of the window on."""

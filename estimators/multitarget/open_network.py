@@ -114,9 +114,9 @@ class OpenNetwork:
         for node in sorted({tracker.node_of[scan.sensor] for scan in scans}):
             if not alive[node]:
                 continue
-            first_scan, *later = (scan for scan in scans if tracker.node_of[scan.sensor] == node)
+            first_scan, *others = (scan for scan in scans if tracker.node_of[scan.sensor] == node)
             local[node], own = self.finder.step(local[node], first_scan)
-            for scan in later:
+            for scan in others:
                 local[node], own = self.finder.step(local[node], scan)
             owner = match(own.now.mean, own.now.cov, *self._beliefs(network, node), self.near)
             supported[owner[owner >= 0]] = found.time
