@@ -34,7 +34,7 @@ DEGREE = math.pi / 180.0
 SIGMA = 20.0  # m
 TURNS = (3.0 * DEGREE, 12.0 * DEGREE)  # rad/s
 PUSHES = (3.0, 8.0)  # m/s^2
-WEAVES = (0.35, 0.6, 9.0, 14.0)  # amplitude (rad), period (s)
+WEAVES = (0.35, 0.6, 10.5, 12.5)  # amplitude (rad), period (s)
 STOPS = (14.0, 24.0)  # m/s^2
 
 

@@ -83,7 +83,8 @@ def run(name: str, seeds: list[int], out: Path, count: int, steps: int) -> None:
     world = WORLDS[name].with_(steps=steps)
     done = {(row["world"], row["seed"], row["tracks"]) for row in _rows(out)}
     tests = {case: simulate(variant, TESTS, TEST_SEED) for case, variant in cases(world).items()}
-    truth = {case: judge(true_bank(v, np.array(SCALES[name])), tests[case]) for case, v in cases(world).items()}
+    scales = np.array(SCALES[name]) if name in SCALES else start_scales(world)
+    truth = {case: judge(true_bank(v, scales), tests[case]) for case, v in cases(world).items()}
     for seed in seeds:
         if (name, seed, count) in done:
             continue
