@@ -4,7 +4,7 @@ python benchmarks/learn_radar.py --data DIR --model OUT [--scenes 128]
 
 DIR holds OneManeuveringTarget3D/train_first1000.npz. Scenes 0 to 299 may be learnt from, 300 to 999 are tracked: RMSE
 of position over all scenes and frames, beside the Singer filter and the library's bank whose scales were fitted by
-likelihood on scenes 0-299 (see radar_births.py); differences with 95 % bootstrap intervals over scenes. No labels exist.
+likelihood on scenes 0-299 (see radar_births.py); differences with 95 % bootstrap intervals over scenes. No labels.
 """
 
 from __future__ import annotations

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
 from jink.intent.model import IntentModel
@@ -35,10 +34,6 @@ _WIDTH = {
 """Width of the prior of every kind of number around where a climb begins, in its unit."""
 _LOST = -50.0  # nats per row of a track whose filter failed
 _MEMORY = 20
-_GROUPS = 24  # of tracks, whose slopes show the curvature
-_SHRUNK = 0.5  # of that curvature towards its diagonal: there are more numbers than groups
-_ROUND = 20  # steps before the curvature is looked at again
-_PATIENCE = 4  # steps that must together gain their share: the first of a climb are short
 
 
 class Climb(NamedTuple):
@@ -121,7 +116,7 @@ def climb(
         batch: tracks to fit.
         sizes: typical sizes, that make numbers comparable.
         steps: at most so many quasi-Newton steps.
-        tolerance: stop where steps gain less; nats per row.
+        tolerance: stop where a step gains less; nats per row.
         temper: of the mode likelihoods, see `log_likelihood`.
         held: names of parameters that stay.
         floor: nats; what a row costs at most.
@@ -148,81 +143,51 @@ def climb(
     latest: dict[str, float] = {}
     trace: list[float] = []
 
-    def put(vector: Floats) -> NDArray[np.bool_]:
-        """Set the parameters; returns which are free to move, not held at their bound."""
-        inside, at = np.clip(vector, low, high), 0
+    def put(vector: Floats) -> None:
+        at = 0
         with torch.no_grad():
             for c in columns:
                 count = int(c.free.sum())
                 values = tensors[c.name].detach().cpu().numpy().copy()
-                values[c.free] = inside[at : at + count] * c.unit
+                values[c.free] = vector[at : at + count] * c.unit
                 tensors[c.name].copy_(torch.as_tensor(values))
                 at += count
-        return np.asarray(inside == vector)
 
-    def likelihood(part: Batch) -> tuple[float, Floats]:
-        """Log-likelihood of a batch, nats, and its slopes."""
+    def cost(vector: Floats) -> tuple[float, Floats]:
+        put(vector)
         parameters.zero_grad()
-        found = filter_batch(parameters, part, temper=temper, threads=threads)
-        density = torch.where(part.detected, found.log_likelihood, torch.zeros_like(found.log_likelihood))
+        found = filter_batch(parameters, batch, temper=temper, threads=threads)
+        density = torch.where(batch.detected, found.log_likelihood, torch.zeros_like(found.log_likelihood))
         density = torch.where(density < floor, torch.full_like(density, floor), density)
         lost = found.failed
         total = (density * (~lost)[:, None]).sum()
         if total.requires_grad:
             total.backward()  # type: ignore[no-untyped-call]
+        value = float(total.detach()) + _LOST * float(batch.detected[lost].sum())
         slopes = []
         for c in columns:
             grad = tensors[c.name].grad
             whole = np.zeros(c.free.shape) if grad is None else grad.cpu().numpy()
             slopes.append(whole[c.free] * c.unit)
         slope = np.nan_to_num(np.concatenate(slopes), nan=0.0, posinf=0.0, neginf=0.0)
-        return float(total.detach()) + _LOST * float(part.detected[lost].sum()), slope
+        offset = (vector - start) / width
+        latest["value"] = value / rows
+        return -(value - 0.5 * float(offset @ offset)) / rows, -(slope - offset / width) / rows
 
-    def shape(at: Floats) -> Floats:
-        """Factor C of the curvature ``C C'`` expected around a place: slopes of single tracks spread that much."""
-        loose = put(at)
-        count = min(_GROUPS, len(batch.z))
-        groups = np.array_split(np.arange(len(batch.z)), count)
-        slopes = np.array([likelihood(batch.subset(torch.as_tensor(group)))[1] for group in groups]) * loose
-        spread = np.cov(slopes.T, bias=False).reshape(start.size, start.size) * count if count > 1 else 0.0
-        diagonal = np.diag(np.diag(spread)) if count > 1 else 0.0
-        curvature = _SHRUNK * diagonal + (1.0 - _SHRUNK) * spread + np.diag(1.0 / width**2)
-        return np.asarray(np.linalg.cholesky(curvature))
+    def note(_: Floats) -> None:
+        trace.append(latest["value"])
+        if report is not None and report(len(trace), trace[-1]):
+            raise StopIteration
 
-    class _EnoughError(Exception):
-        """A climb has ended before its steps did."""
-
-    at, evaluations, done = start, 0, 0
-    while done < steps:
-        factor, origin = shape(at), at
-        reached = [at]
-
-        def cost(y: Floats, origin: Floats = origin, factor: Floats = factor) -> tuple[float, Floats]:
-            x = origin + solve_triangular(factor.T, y, lower=False)
-            loose = put(x)
-            value, slope = likelihood(batch)
-            offset = (x - start) / width
-            latest["value"] = value / rows
-            gradient = slope * loose - offset / width
-            return 0.5 * float(offset @ offset) - value, -solve_triangular(factor, gradient, lower=True)
-
-        def note(y: Floats, origin: Floats = origin, factor: Floats = factor, reached: list[Floats] = reached) -> None:
-            reached[0] = origin + solve_triangular(factor.T, y, lower=False)
-            trace.append(latest["value"])
-            slow = len(trace) > _PATIENCE and trace[-1] - trace[-1 - _PATIENCE] < _PATIENCE * tolerance
-            if slow or (report is not None and report(len(trace), trace[-1])):
-                raise _EnoughError
-
-        limits = {"maxiter": min(_ROUND, steps - done), "maxcor": _MEMORY, "ftol": 0.0, "gtol": 1e-6, "maxls": 20}
-        before = len(trace)
-        try:
-            found = minimize(cost, np.zeros(at.size), jac=True, method="L-BFGS-B", callback=note, options=limits)
-            at, evaluations, stuck = reached[0], evaluations + int(found.nfev), len(trace) == before
-        except _EnoughError:
-            at, stuck = reached[0], True
-        done += _ROUND
-        if stuck:
-            break
-    put(at)
-    value = likelihood(batch)[0] / rows
-    return Climb(parameters.to_model(), value, evaluations, tuple(trace))
+    found = minimize(
+        cost,
+        start,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=np.stack([low, high], axis=1),
+        callback=note,
+        options={"maxiter": steps, "maxcor": _MEMORY, "ftol": tolerance, "gtol": 1e-7, "maxls": 12},
+    )
+    put(np.asarray(found.x))
+    value = -float(cost(np.asarray(found.x))[0])
+    return Climb(parameters.to_model(), latest.get("value", value), int(found.nfev), tuple(trace))

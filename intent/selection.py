@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 RESOLVABLE = 0.01
 """Nats per row that several intents must bring over one."""
-WORTH = 0.005
+WORTH = 0.003
 """Nats per row below which an intent is not worth having, however certain the gain."""
 _DRAWS = 2000
 _FOLLOWS = 0.5  # share of switches that must lead on for a template to be tried

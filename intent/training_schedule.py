@@ -29,7 +29,6 @@ __all__ = ["Outcome", "Settings", "learn"]
 
 Floats = NDArray[np.float64]
 _OUTLIER = 25.0  # nats below the median row
-_RIVALS = 3  # of the larger models tried, how many are fitted further
 _PASSES, _MOST_OUTLIERS = 12, 0.2
 _FEWER_BIRTHS = 2e-4  # nats per row that a birth component must bring
 
@@ -53,12 +52,12 @@ class Settings:
     intents: int | None = None
     most: int = 7
     single: int = 25
-    first: int = 60
+    first: int = 70
     fewer: int = 15
     tries: int = 5
-    more: int = 20
+    more: int = 25
     rounds: int = 3
-    last: int = 25
+    last: int = 40
     rivals: int = 1
     seconds: float | None = None
     threads: int = 2
@@ -257,13 +256,7 @@ def _many(trainer: _Trainer, diary: Diary, fit: Batch, held: Batch, found: _Foun
         count = max(2, min(count, max(found.models)))
         if count not in found.models:
             return
-
-        def ripe(start: IntentModel = found.models[count]) -> tuple[IntentModel, dict[str, Any]]:
-            return tidy(trainer.climb(start, fit, "more", settings.more)), {}
-
-        base, _ = diary.stage(f"ripe-{attempt + 1}", ripe)
-        before, _ = trainer.score(base, held)
-        found.offer(base, before)
+        base, before = found.models[count], found.scores[count]
 
         def larger(start: IntentModel = base) -> tuple[IntentModel, dict[str, Any]]:
             return _larger(trainer, start, fit), {}
@@ -297,14 +290,14 @@ def _reduce(
 
 def _larger(trainer: _Trainer, model: IntentModel, fit: Batch) -> IntentModel:
     """The best model with one intent more, fitted."""
-    settings, some = trainer.settings, trainer.batch(trainer.lessons.fit[::2])
-    tried = [
-        trainer.climb(candidate, some, "more", settings.tries) for candidate in larger_models(model, trainer.found)
-    ]
-    for steps, kept in ((2 * settings.tries, _RIVALS), (0, 1)):
-        ranked = sorted(tried, key=lambda candidate: -trainer.mean(candidate, some))[:kept]
-        tried = [trainer.climb(candidate, some, "more", steps) if steps else candidate for candidate in ranked]
-    return tidy(trainer.climb(tried[0], fit, "more", settings.more))
+    settings = trainer.settings
+    best, chosen = -math.inf, model
+    for candidate in larger_models(model, trainer.found):
+        tried = trainer.climb(candidate, fit, "more", settings.tries)
+        value = trainer.mean(tried, fit)
+        if value > best:
+            best, chosen = value, tried
+    return tidy(trainer.climb(chosen, fit, "more", settings.more))
 
 
 def _smaller(trainer: _Trainer, model: IntentModel, fit: Batch) -> IntentModel:
