@@ -49,9 +49,10 @@ def test_birth_beats_the_likeliest_single_filter_on_the_same_scenes(births, squa
     assert above < 0.0
 
 
-def test_mixing_unlike_parameters_as_if_they_were_alike_loses_targets(squares):
-    # Measured +101 m; its tail of lost targets is heavy, so only a clear part of it is asked for.
-    assert rmse(squares["mix, unlike parameters"]) > rmse(squares["birth"]) + 20.0
+def test_mixing_unlike_parameters_as_if_they_were_alike_costs_accuracy(births, squares):
+    # Measured +5.8 m; +101 m and lost targets before parameters far off their birth prior were born anew.
+    below, _ = births.interval(squares["mix, unlike parameters"], squares["birth"])
+    assert below > 0.0
 
 
 def test_birth_beats_separate_filters_and_unbiased_mixing(births, squares):
