@@ -45,7 +45,8 @@ from jink.estimators.program import BIRTH, program_at, work_at
 from jink.estimators.records import ABSURD
 from jink.estimators.reference import record_type, reference_reader
 from jink.estimators.restarting import BEGUN, REFUSED
-from jink.estimators.status import MISSING, OK, REPAIRED
+from jink.estimators.soundness import drop_impossible_correlations, loosen_correlations
+from jink.estimators.status import DIVERGED, MISSING, OK, REPAIRED
 from jink.estimators.unscented import point_weights, points_mean
 
 __all__ = ["Smoother", "make_smoother", "smooth_tracks"]
@@ -349,6 +350,9 @@ def _smooth_track(
         good = fuse(program, work, mean[t], cov[t], probs[t], kin_mean[t], kin_cov[t]) and good
         if not good and status[t] == OK:
             status[t] = REPAIRED
+        if status[t] in (REPAIRED, DIVERGED):
+            drop_impossible_correlations(work, kin_cov[t])
+            loosen_correlations(kin_cov[t])
 
 
 @entry_kernel

@@ -8,11 +8,19 @@ from jink.estimators.compiled import inner_kernel
 from jink.estimators.linalg import cholesky, total
 from jink.estimators.records import ABSURD
 
-__all__ = ["believable_parameters", "drop_impossible_correlations", "sound_moments", "usable_components", "widen"]
+__all__ = [
+    "believable_parameters",
+    "drop_impossible_correlations",
+    "loosen_correlations",
+    "sound_moments",
+    "usable_components",
+    "widen",
+]
 
 _FLOOR = 1e-14
 _ROUNDED = 1e-9
 _BELIEVABLE = 50.0
+_LOOSENED = 1e-5
 
 
 @inner_kernel
@@ -106,6 +114,18 @@ def drop_impossible_correlations(work, kin_cov):
             for b in range(kin):
                 if a != b:
                     kin_cov[a, b] = 0.0
+
+
+@inner_kernel
+def loosen_correlations(kin_cov):
+    """Take 1e-5 off every correlation: ``(1 - e) C + e D`` with the diagonal D is definite where C is to rounding.
+
+    A zero pivot hides off-diagonals of the size of its square root, so a factor alone does not see what rounding took.
+    """
+    for a in range(kin_cov.shape[0]):
+        for b in range(kin_cov.shape[0]):
+            if a != b:
+                kin_cov[a, b] *= 1.0 - _LOOSENED
 
 
 @inner_kernel
