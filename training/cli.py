@@ -44,6 +44,8 @@ Examples:
 
   jink track radar.csv --estimator intent-imm --model model/
 
+  jink track radar.csv --estimator mine.py:make
+
 Many targets in clutter, from detections without names (rows that share time and sensor are a scan):
 
   jink track scans.csv --estimator pmht --sigma 5 --out tracks.csv --plot tracks.png --film tracks.gif
@@ -57,7 +59,9 @@ _MANY_MODEL = "What is assumed of many targets (pmht, gnn, jpda, distributed-pmh
 @app.command("track", help=_TRACK_HELP)
 def track_command(
     file: Annotated[Path, typer.Argument(help="CSV or Parquet file of measurements.", metavar="FILE")],
-    estimator: Annotated[str, typer.Option("--estimator", "-e", help="Name from 'jink list'.")] = "imm",
+    estimator: Annotated[
+        str, typer.Option("--estimator", "-e", help="Name from 'jink list', or FILE.py:NAME.")
+    ] = "imm",
     model: Annotated[
         str | None,
         typer.Option(help="Learned intents: a folder of jink train, or a name.", rich_help_panel=_MODEL),
@@ -279,7 +283,7 @@ def play_command(
     env: Annotated[str, typer.Argument(help="Id, with or without jink/.", metavar="ENV")],
     scenario: Annotated[str | None, typer.Option(help="Name from 'jink list'.")] = None,
     policy: Annotated[
-        str | None, typer.Option(help="An estimator, a factor, none or random; default the first that fits.")
+        str | None, typer.Option(help="An estimator, FILE.py:NAME, a factor, none or random; default one that fits.")
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the episode; default a new one.")] = None,
     out: Annotated[Path | None, typer.Option(help="To this .mp4, .gif or .png.")] = None,
@@ -298,11 +302,20 @@ def play_command(
     print_played(screen(), played)
 
 
-_CHECK_HELP = """Examine the vector environment of an id: spaces, seeds, autoreset modes, equality with single ones.
+_CHECK_HELP = """Examine an estimator, or the vector environment of an id.
 
-Works for any id that gymnasium.make_vec knows.
+An estimator: shapes, values, inputs untouched, same bits again, batches, neighbours, padding, causality, missing data,
+odd times, outliers, run against step. What fails is said with how to mend it. FILE.py:NAME is a class or function.
+
+An environment: spaces, seeds, autoreset modes, equality with single ones; any id that gymnasium.make_vec knows.
 
 Examples:
+
+  jink check mine.py:make
+
+  jink check mine.py:make --sensor range-bearing
+
+  jink check imm --axes 3
 
   jink check --env jink/AdaptiveFactor-v0
 
@@ -312,12 +325,39 @@ Examples:
 
 @app.command("check", help=_CHECK_HELP)
 def check_command(
-    env: Annotated[str, typer.Option(help="Id of an environment; MODULE:ID imports a module first.")],
+    estimator: Annotated[
+        str | None, typer.Argument(help="FILE.py:NAME, or a name from 'jink list'.", metavar="[ESTIMATOR]")
+    ] = None,
+    env: Annotated[str | None, typer.Option(help="Id of an environment; MODULE:ID imports a module first.")] = None,
+    sensor: Annotated[str, typer.Option(help="What the estimator is put behind.")] = "position",
+    axes: Annotated[int | None, typer.Option(help="Space dimensions of the sensor position; default 2.")] = None,
     num_envs: Annotated[int, typer.Option(help="How many environments.")] = 3,
-    seed: Annotated[int, typer.Option(help="Seed of the first.")] = 0,
-    steps: Annotated[int, typer.Option(help="Random steps of a comparison.")] = 300,
+    seed: Annotated[int, typer.Option(help="Seed of the tracks, or of the first environment.")] = 0,
+    steps: Annotated[int, typer.Option(help="Random steps of a comparison of environments.")] = 300,
 ) -> int:
-    """Examine a vector environment."""
+    """Examine an estimator or a vector environment."""
+    if (estimator is None) == (env is None):
+        raise ValueError(
+            f"check: one thing must be named, ESTIMATOR or --env; got {'neither' if env is None else 'both'}. "
+            "Write for example jink check mine.py:make."
+        )
+    if estimator is not None:
+        return _check_estimator(estimator, sensor, axes, seed)
+    return _check_env(str(env), num_envs, seed, steps)
+
+
+def _check_estimator(estimator: str, sensor: str, axes: int | None, seed: int) -> int:
+    from jink.training.checking import check_estimator, print_estimator_report
+
+    if axes is not None and sensor != "position":
+        raise ValueError(f"--axes: option must be left out of --sensor {sensor}; got {axes}. Its axes are fixed.")
+    with say_when_compiling():
+        report = check_estimator(estimator, sensor, 2 if axes is None else axes, seed)
+    print_estimator_report(report, screen())
+    return int(not report.ok)
+
+
+def _check_env(env: str, num_envs: int, seed: int, steps: int) -> int:
     import gymnasium
 
     import jink.envs

@@ -27,8 +27,8 @@ class NoiseReading(NamedTuple):
 
 def judges_noise(estimator: Any) -> bool:
     """Whether the estimator takes a large innovation for noise as well as for a manoeuvre."""
-    bank = estimator.bank
-    return bool(bank.learns_noise or any(mode.treatments for mode in bank.modes))
+    bank = getattr(estimator, "bank", None)  # a third party's has none
+    return bank is not None and bool(bank.learns_noise or any(mode.treatments for mode in bank.modes))
 
 
 def read_noise(estimator: Any, tracks: Tracks, estimates: Any, *, use_noise: bool = True) -> NoiseReading | None:
@@ -44,7 +44,7 @@ def read_noise(estimator: Any, tracks: Tracks, estimates: Any, *, use_noise: boo
         the reading; None for an estimator that has neither levels nor a learnt noise.
     """
     known = tracks.used & (np.asarray(estimates.status) != STATUS_NAMES.index("starting"))
-    if not known.any():
+    if not known.any() or not hasattr(estimator, "bank"):
         return None
     if isinstance(estimator, AdaptiveEstimator):
         return _learnt(estimator, tracks, known, use_noise)

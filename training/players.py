@@ -16,7 +16,10 @@ from jink.envs.manoeuvring_target import ManoeuvringTargetTask
 from jink.envs.policies import EstimatorPolicy
 from jink.envs.streams import make_streams
 from jink.envs.task import Task
+from jink.estimators.api import BankEstimator
 from jink.estimators.recipes import RECIPES, make_estimator
+from jink.training.loading import is_spec, make_named
+from jink.training.outside_policy import OutsidePolicy
 
 __all__ = ["Player", "default_player", "make_player", "player_names", "scales_of"]
 
@@ -53,8 +56,8 @@ def make_player(name: str, env: gymnasium.Env[Any, Any], seed: int) -> Player:
     """A player for one episode.
 
     Args:
-        name: an estimator's ("imm", "kf-cv", ...; it estimates from the observations), a choice's (it is taken every
-            time), "none" (repeats the measured position, or leaves the noise as it is) or "random".
+        name: an estimator's ("imm", "kf-cv", ..., or file.py:make; it estimates from the observations), a choice's
+            (it is taken every time), "none" (repeats the measured position, or leaves the noise as it is) or "random".
         env: a single environment of Jink.
         seed: of "random".
 
@@ -65,6 +68,8 @@ def make_player(name: str, env: gymnasium.Env[Any, Any], seed: int) -> Player:
         ValueError: a name this environment does not know.
     """
     names = player_names(env)
+    if is_spec(name):
+        return _make_outside(name, env)
     if name not in names:
         raise ValueError(
             f"play: policy must be one of {', '.join(names)}; got '{name}'. Choose one that fits {_id(env)}."
@@ -84,6 +89,20 @@ def make_player(name: str, env: gymnasium.Env[Any, Any], seed: int) -> Player:
         return lambda observation: least
     source = env.unwrapped.rollout.source  # type: ignore[attr-defined]
     return EstimatorPolicy(make_estimator(name, source.sensor, **scales_of(source)._asdict()), env)
+
+
+def _make_outside(spec: str, env: gymnasium.Env[Any, Any]) -> Player:
+    """A third party's estimator as a player."""
+    if not isinstance(_task(env), ManoeuvringTargetTask):
+        raise ValueError(
+            f"play: policy must be one of {', '.join(player_names(env))}; got '{spec}', an estimator. Choose one of "
+            "them, or play ManoeuvringTarget-v0."
+        )
+    source = env.unwrapped.rollout.source  # type: ignore[attr-defined]
+    estimator = make_named(spec, source.sensor, **scales_of(source)._asdict())
+    if isinstance(estimator, BankEstimator):
+        return EstimatorPolicy(estimator, env)
+    return OutsidePolicy(estimator, _task(env).layout)  # type: ignore[attr-defined]
 
 
 class _Repeater:

@@ -75,11 +75,14 @@ def _print_outcome(console: Console, report: TrackReport) -> None:
     )
     low, high, mean = scores["nis_low"], scores["nis_high"], scores["nis_per_dof"]
     verdict = nis_verdict(mean, low, high, scores["nis_inside"])
-    console.print(
-        f"NIS per component {number(mean, 3)}, expected {number(low, 3)} to {number(high, 3)}: {verdict}; "
-        f"{100 * scores['nis_inside']:.0f} % of steps inside their 95 % band; "
-        f"log-likelihood {number(scores['log_likelihood_per_step'])} per step"
-    )
+    if np.isnan(mean):
+        console.print("no innovations reported: consistency cannot be judged")
+    else:
+        console.print(
+            f"NIS per component {number(mean, 3)}, expected {number(low, 3)} to {number(high, 3)}: {verdict}; "
+            f"{100 * scores['nis_inside']:.0f} % of steps inside their 95 % band; "
+            f"log-likelihood {number(scores['log_likelihood_per_step'])} per step"
+        )
     noise = report.noise
     if noise is not None and noise.intents:
         console.print(

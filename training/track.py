@@ -23,6 +23,7 @@ from jink.training.many_estimators import MANY
 from jink.training.models import find_model
 from jink.training.noise_reading import NoiseReading, judges_noise, read_noise
 from jink.training.options import parse_numbers, parse_pairs, parse_sigma
+from jink.training.outside import without_unreported
 from jink.training.running import Forecast, forecast_ends, gate_tracks, raw_positions, run_tracks
 from jink.training.tuning import sensor_of, tune
 from jink.training.wording import in_own_words
@@ -124,11 +125,14 @@ def track(request: TrackRequest) -> TrackReport:
         OSError: a file that cannot be read or written.
     """
     from jink.estimators.recipes import LEARNED, RECIPES
+    from jink.training.loading import is_spec, load_maker
 
-    if request.estimator not in RECIPES:
+    if is_spec(request.estimator):
+        load_maker(request.estimator)  # refused before the file is read
+    elif request.estimator not in RECIPES:
         raise ValueError(
-            f"--estimator: name must be one of {', '.join((*RECIPES, *MANY))}; got '{request.estimator}'. "
-            "See jink list."
+            f"--estimator: name must be one of {', '.join((*RECIPES, *MANY))}, or FILE.py:NAME; got "
+            f"'{request.estimator}'. See jink list."
         )
     if request.model is not None and request.estimator not in LEARNED:
         raise ValueError(
@@ -185,9 +189,14 @@ def estimate(request: TrackRequest, tracks: Tracks, choice: Choice) -> TrackRepo
 
 
 def _estimate(request: TrackRequest, tracks: Tracks, choice: Choice) -> TrackReport:
-    from jink.estimators.recipes import make_estimator
+    from jink.training.loading import make_named
 
-    estimator = make_estimator(request.estimator, choice.sensor, **choice.options)
+    estimator = make_named(request.estimator, choice.sensor, **choice.options)
+    for option, method in (("--smooth", "smooth"), ("--forecast", "forecast"), ("--gate", "step")):
+        if getattr(request, option[2:]) and not (hasattr(estimator, method) and getattr(estimator, "streams", True)):
+            raise ValueError(
+                f"{option}: estimator must have {method}; got {estimator.name}, which has not. Leave {option} out."
+            )
     rows, use_noise = float(tracks.lengths.sum()), choice.use_noise
     used, rejected = tracks, 0
     if request.gate:
@@ -199,7 +208,7 @@ def _estimate(request: TrackRequest, tracks: Tracks, choice: Choice) -> TrackRep
         lengths=np.minimum(tracks.lengths[:1], _WARM_ROWS),
     )
     run_tracks(estimator, head, use_noise=use_noise, smooth=request.smooth)  # compiles, so the clock need not
-    with progress(f"{request.estimator}: {tracks.source}", rows) as advance:
+    with progress(f"{estimator.name}: {tracks.source}", rows) as advance:
         began = time.perf_counter()
         estimates = run_tracks(estimator, used, use_noise=use_noise, smooth=request.smooth, advance=advance)
         seconds = time.perf_counter() - began
@@ -209,11 +218,11 @@ def _estimate(request: TrackRequest, tracks: Tracks, choice: Choice) -> TrackRep
             forecasts = forecast_ends(estimator, used, request.forecast, use_noise=use_noise, advance=advance)
     return TrackReport(
         tracks=tracks,
-        estimator=request.estimator,
+        estimator=estimator.name,
         modes=tuple(estimator.modes),
         parameters=choice.parameters,
         estimates=estimates,
-        scores=summary(estimates, tracks.truth, tracks.truth_velocity, tracks.lengths),
+        scores=without_unreported(summary(estimates, tracks.truth, tracks.truth_velocity, tracks.lengths), estimates),
         raw_scores=score_raw(tracks, estimates),
         forecasts=forecasts,
         seconds=seconds,

@@ -1,0 +1,1 @@
+"""Filters of other packages with the interface of ours, and ours with theirs."""

@@ -1,0 +1,1 @@
+"""Parts of the contract test of estimators."""
