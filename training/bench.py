@@ -25,6 +25,8 @@ from jink.training.track import choose, estimate, read
 __all__ = ["BenchRequest", "bench"]
 
 _SEED = 1
+SIMULATED = ("switch", "surge", "joint", "heavy-tail", "model-error")
+RUNS, QUICK_RUNS = 100, 20
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,8 @@ class BenchRequest:
     data: Path | None = None
     runs: int | None = None
     seed: int | None = None
+    scenarios: tuple[str, ...] = ()
+    estimators: tuple[str, ...] = ()
 
 
 class Job(NamedTuple):
@@ -85,7 +89,8 @@ def bench(request: BenchRequest, console: Console) -> int:
     wanted = {job.cell for job in jobs}
     mine = [Cell(*key) in wanted for key in rows[list(Cell._fields)].itertuples(index=False, name=None)]
     rows = rows[mine]
-    _TABLES[request.suite](console, rows)
+    if request.suite in _TABLES:
+        _TABLES[request.suite](console, rows)
     if len(todo) < len(jobs):
         console.print(f"{len(jobs) - len(todo)} of {len(jobs)} cells were already in {out.name}", markup=False)
     if request.out is not None:
@@ -207,5 +212,26 @@ def _many(request: BenchRequest) -> Iterator[Job]:
         yield Job(cell, lambda started, known=known, cell=cell: compute(known, cell, started))  # type: ignore[misc]
 
 
-_JOBS = {"published": _published, "recorded": _recorded, "multi-target": _many}
+def _simulated(request: BenchRequest) -> Iterator[Job]:
+    from jink.envs.scenarios import SUITES as SCENARIOS
+    from jink.training.ladder.cells import BLOCK, TRUTH, LadderCell, run_ladder_cell
+    from jink.training.ladder.rungs import LADDER
+    from jink.training.ladder.typical import EVALUATION_SEED
+
+    names = SCENARIOS[request.suite]
+    runs = request.runs or (QUICK_RUNS if request.quick else RUNS)
+    first = EVALUATION_SEED if request.seed is None else request.seed
+    for scenario in [name for name in names if name in request.scenarios or not request.scenarios]:
+        for begin in range(0, runs, BLOCK):
+            count = min(BLOCK, runs - begin)
+            estimators = request.estimators or (TRUTH, *LADDER)
+            for estimator in estimators:
+                if estimator == TRUTH and begin:
+                    continue
+                job = LadderCell(request.suite, scenario, estimator, count, first + begin)
+                cell = Cell(*job, commit())
+                yield Job(cell, lambda started, job=job, cell=cell: run_ladder_cell(job, cell))  # type: ignore[misc]
+
+
+_JOBS = {"published": _published, "recorded": _recorded, "multi-target": _many} | dict.fromkeys(SIMULATED, _simulated)
 _TABLES = {"published": print_published, "recorded": print_recorded, "multi-target": print_many_suite}

@@ -15,6 +15,11 @@ from jink.training.summary import plain_table
 __all__ = ["SUITES", "print_catalogue"]
 
 SUITES = {
+    "switch": "targets that change their mind: the ladder from raw measurement to bound",
+    "surge": "noise surges: the ladder",
+    "joint": "both at once: the ladder",
+    "heavy-tail": "heavy-tailed noise: the ladder",
+    "model-error": "a plant that its model does not describe: the ladder",
     "published": "scenarios with published results, ours beside them",
     "recorded": "recorded tracks in a folder: errors where there is truth, predictions elsewhere",
     "multi-target": "scenes of many targets in clutter: GOSPA, misses, false tracks, identity switches, time",

@@ -257,11 +257,23 @@ def bench_command(
     data: Annotated[Path | None, typer.Option(help="Folder of recorded tracks.")] = None,
     runs: Annotated[int | None, typer.Option(help="Monte-Carlo runs; default those of the source.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of truth and noise; default 1.")] = None,
+    scenario: Annotated[list[str] | None, typer.Option(help="Only this one; may be repeated.")] = None,
+    estimator: Annotated[list[str] | None, typer.Option(help="Only this one; may be repeated.")] = None,
 ) -> int:
     """Compare estimators."""
     from jink.training.bench import BenchRequest, bench
 
-    return bench(BenchRequest(suite=suite, quick=quick, out=out, data=data, runs=runs, seed=seed), screen())
+    request = BenchRequest(
+        suite=suite,
+        quick=quick,
+        out=out,
+        data=data,
+        runs=runs,
+        seed=seed,
+        scenarios=tuple(scenario or ()),
+        estimators=tuple(estimator or ()),
+    )
+    return bench(request, screen())
 
 
 _PLAY_HELP = """Watch an episode of an environment in a window, or write it to a file.

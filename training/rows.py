@@ -7,6 +7,7 @@ import hashlib
 import importlib.metadata
 import importlib.util
 import json
+import math
 import os
 import platform
 import subprocess
@@ -17,21 +18,38 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from jink.training.intervals import Measured
 from jink.training.locking import alone
 
-__all__ = ["Cell", "append_rows", "finished_cells", "hash_files", "make_rows", "provenance", "read_rows"]
+__all__ = [
+    "KINDS",
+    "Cell",
+    "append_rows",
+    "finished_cells",
+    "hash_files",
+    "make_rows",
+    "provenance",
+    "read_rows",
+    "write_rows",
+]
 
 COLUMNS = {
-    "suite": "string", "scenario": "string", "estimator": "string", "metric": "string", "value": "float64",
-    "low": "float64", "high": "float64", "interval": "string", "unit": "string",
+    "suite": "string", "scenario": "string", "estimator": "string", "kind": "string", "metric": "string",
+    "value": "float64", "low": "float64", "high": "float64", "interval": "string", "unit": "string",
+    "statistic": "string", "at": "object", "samples": "object",
     "published": "float64", "published_low": "float64", "published_high": "float64",
     "status": "string", "reason": "string", "runs": "int64", "seed": "int64", "parameters": "string",
     "steps": "int64", "seconds": "float64", "started": "string", "command": "string", "commit": "string",
     "data": "string", "versions": "string", "machine": "string",
 }  # fmt: skip
+_NEWER = {"data": "", "kind": "number", "statistic": "", "at": None, "samples": None}
+"""Columns that older files lack, and what they then hold."""
 PACKAGES = ("estimators", "intent", "envs", "training")
+KINDS = ("number", "curve", "track")
+"""A number of a cell; values against time; one series of the one run that is played back."""
 STATUSES = ("ok", "diverged", "skipped", "error")
 
 
@@ -62,8 +80,9 @@ def read_rows(path: Path) -> pd.DataFrame:
         raise ValueError(
             f"--out: file must be Parquet rows of jink bench; got {path.name} ({error}). Choose another --out."
         ) from error
-    if "data" not in rows.columns:
-        rows["data"] = ""  # rows made before it was recorded: of unknown files, so never taken for finished ones
+    for name, value in _NEWER.items():
+        if name not in rows.columns:
+            rows[name] = value  # without `data`: of unknown files, so never taken for finished ones
     missing = [name for name in COLUMNS if name not in rows.columns]
     if missing:
         raise ValueError(
@@ -97,10 +116,17 @@ def append_rows(path: Path, new: pd.DataFrame) -> None:
         old = read_rows(path)
         again = pd.MultiIndex.from_frame(old[keys]).isin(pd.MultiIndex.from_frame(new[keys]))
         try:
-            pd.concat([old[~again], new], ignore_index=True).to_parquet(part, index=False)
+            write_rows(part, pd.concat([old[~again], new], ignore_index=True))
             part.replace(path)
         finally:
             part.unlink(missing_ok=True)
+
+
+def write_rows(path: Path, rows: pd.DataFrame) -> None:
+    """Rows as Parquet; numbers against time and runs as lists of single-precision numbers."""
+    kinds = {"string": pa.string(), "float64": pa.float64(), "int64": pa.int64(), "object": pa.list_(pa.float32())}
+    schema = pa.schema([(name, kinds[kind]) for name, kind in COLUMNS.items()])
+    pq.write_table(pa.Table.from_pandas(rows[list(COLUMNS)], schema, preserve_index=False), path, compression="zstd")
 
 
 def make_rows(
@@ -114,6 +140,8 @@ def make_rows(
     steps: int = 0,
     seconds: float = 0.0,
     started: str = "",
+    command: str = "",
+    more: Sequence[Mapping[str, Any]] = (),
 ) -> pd.DataFrame:
     """Rows of one cell.
 
@@ -127,6 +155,8 @@ def make_rows(
         steps: track-steps computed.
         seconds: wall time.
         started: from `now`.
+        command: makes exactly this cell; empty: the command line of this process.
+        more: columns of further rows (``kind``, ``metric``, ``unit``, ``at``, ``samples``, ...).
 
     Returns:
         the rows, with their provenance.
@@ -145,12 +175,22 @@ def make_rows(
         "steps": steps,
         "seconds": seconds,
         "started": started or now(),
+        "kind": "number",
+        "statistic": "",
+        "at": None,
+        "samples": None,
     }
-    records = []
-    for metric, measured in (values or {"": Measured(float("nan"), "", interval="no number")}).items():
+    if command:
+        common["command"] = command
+    none = {"value": math.nan, "low": math.nan, "high": math.nan, "interval": "", "published": math.nan}
+    none |= {"published_low": math.nan, "published_high": math.nan, "unit": ""}
+    nothing = {} if more else {"": Measured(math.nan, "", interval="no number")}
+    records: list[dict[str, Any]] = []
+    for metric, measured in (values or nothing).items():
         known = (published or {}).get(metric, (float("nan"),) * 3)
         numbers = dict(zip(("published", "published_low", "published_high"), known, strict=True))
         records.append(common | numbers | {"metric": metric, **measured._asdict()})
+    records += [common | none | dict(row) for row in more]
     return pd.DataFrame(records)[list(COLUMNS)].astype(COLUMNS)
 
 

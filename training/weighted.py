@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from jink.training.intervals import Floats, Statistic
 
-__all__ = ["largest", "mean", "median", "ratio", "root_mean", "root_mean_peak", "trimmed_mean"]
+__all__ = ["interquartile_mean", "largest", "mean", "median", "ratio", "root_mean", "root_mean_peak", "trimmed_mean"]
 
 
 def mean(values: Floats) -> Statistic:
@@ -30,6 +30,23 @@ def root_mean_peak(squares: Floats) -> Statistic:
 def ratio(top: Floats, bottom: Floats) -> Statistic:
     """Sum of (n,) values over the sum of others."""
     return lambda weights: _divide(weights @ top, weights @ bottom)
+
+
+def interquartile_mean(values: Floats) -> Statistic:
+    """Mean of the middle half of (n,) values; NaN ones do not count."""
+    order, present = _ascending(values)
+
+    def statistic(weights: Floats) -> Floats:
+        taken = weights[:, order]
+        reached = np.cumsum(taken, axis=1)
+        total = reached[:, -1:] if len(present) else np.zeros((len(weights), 1))
+        low, high = np.maximum(reached - taken, 0.25 * total), np.minimum(reached, 0.75 * total)
+        kept = np.maximum(high - low, 0.0)
+        # Not a product with the values: an infinite one outside of the middle would make it NaN.
+        sums = np.where(kept > 0, kept * np.where(kept > 0, present, 0.0), 0.0).sum(axis=1)
+        return _divide(sums, kept.sum(axis=1))
+
+    return statistic
 
 
 def largest(values: Floats) -> Statistic:

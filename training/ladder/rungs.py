@@ -1,0 +1,241 @@
+"""The rungs of the ladder: what follows the target, by name, from the measurement itself to a bound."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jink.envs.episodes import Episodes
+from jink.envs.observing import seen_positions
+from jink.envs.scenario import Scenario
+from jink.estimators.adaptive_estimator import AdaptiveEstimator
+from jink.estimators.api import BankEstimator, Estimates
+from jink.estimators.bank import Bank, Mode
+from jink.estimators.inputs import Prior
+from jink.estimators.motions import constant_velocity
+from jink.estimators.oracles import oracle
+from jink.estimators.recipes import ADAPTATIONS, RECIPES, Scales, intent_imm, kf_cv, robust_imm, student_t_imm
+from jink.estimators.sensor import Sensor
+from jink.estimators.treatments import Adaptive
+from jink.training.ladder.scores import HORIZON_S, Readings
+from jink.training.ladder.settings import Settings
+from jink.training.ladder.typical import typical_scales
+
+__all__ = ["FACTORS", "LADDER", "Follower", "NoSuchRung", "make_follower"]
+
+Floats = NDArray[np.float64]
+FACTORS = ("mr", "huber", "rma", "mahalanobis")
+LADDER = (
+    "raw",
+    "kf-cv",
+    "kf-ca",
+    "singer",
+    "ukf-ct",
+    *FACTORS,
+    "imm",
+    "student-t-imm",
+    "robust-imm",
+    "sage-husa",
+    "vb-noise",
+    "intent-imm",
+    "intent-imm@learned",
+    "joint-imm",
+    "agent",
+    "oracle",
+    "bound",
+)
+"""From the measurement itself to what no estimator can beat."""
+_SAME = {
+    "straight": ("cv", "straight"),
+    "accelerate": ("ca", "accelerate"),
+    "turn": ("ct", "turn", "orbit"),
+    "orbit": ("ct", "turn", "orbit"),
+    "weave": ("weave",),
+}
+"""True intent -> what banks call it; a jink is none of them."""
+
+
+class NoSuchRung(Exception):  # noqa: N818 - it ends no computation
+    """A rung that a scenario does not have; the sentence says why."""
+
+
+class Follower(NamedTuple):
+    """What follows the targets of one scenario.
+
+    estimate: episodes to estimates, one thread.
+    read: what it says besides, from episodes and its estimates.
+    parameters: everything that was chosen, for the rows.
+    """
+
+    estimate: Callable[[Episodes], Estimates]
+    read: Callable[[Episodes, Estimates], Readings]
+    parameters: Mapping[str, Any]
+
+
+def make_follower(name: str, scenario: Scenario, settings: Settings) -> Follower:
+    """The rung of that name for a scenario.
+
+    Args:
+        name: one of `LADDER` (not ``bound``, which estimates nothing), or a recipe.
+        scenario: what it will follow.
+        settings: factors on the typical scales, and options.
+
+    Raises:
+        NoSuchRung: this scenario has no such rung.
+        ValueError: an unknown name.
+    """
+    if name == "raw":
+        return Follower(functools.partial(_raw, scenario.sensor), _says_nothing, {})
+    scales = _scaled(typical_scales(scenario), settings)
+    told: dict[str, Any] = {"scales": vars(scales), "settings": settings._asdict()}
+    if name == "oracle":
+        return _oracle(scenario, scales, told)
+    if name == "agent" and name not in RECIPES:
+        raise NoSuchRung("this version has no agent")
+    if name.startswith("intent-imm@"):
+        bank, told["model"] = _learned(name.partition("@")[2], scenario)
+        return _following(BankEstimator(bank, name=name, threads=1), scenario, settings, told)
+    if name in FACTORS:
+        motion = constant_velocity(scenario.axes, acceleration_density=scales.acceleration**2)
+        bank = Bank((Mode("cv", motion, _distrust(name, settings)),), scenario.sensor, speed=scales.speed)
+        return _following(BankEstimator(bank, name=name, threads=1), scenario, settings, told)
+    if name not in RECIPES:
+        raise ValueError(f"--estimator: name must be one of {', '.join(LADDER)}; got '{name}'. See jink list.")
+    if name == "student-t-imm":
+        bank = student_t_imm(scenario.sensor, scales, dof=settings.dof)
+    elif name == "robust-imm":
+        bank = robust_imm(scenario.sensor, scales)
+        bank = bank.with_(modes=tuple(replace(m, treatment=_distrust(m.name, settings)) for m in bank.modes))
+    else:
+        bank = RECIPES[name](scenario.sensor, scales)
+    if name in ADAPTATIONS:
+        adaptation = replace(ADAPTATIONS[name], forgetting=settings.forgetting)
+        return _following(AdaptiveEstimator(bank, adaptation, name=name, threads=1), scenario, settings, told)
+    return _following(BankEstimator(bank, name=name, threads=1), scenario, settings, told)
+
+
+def _scaled(scales: Scales, settings: Settings) -> Scales:
+    return replace(
+        scales,
+        acceleration=scales.acceleration * settings.acceleration,
+        sojourn=scales.sojourn * settings.sojourn,
+        surge_every=scales.surge_every * settings.surge_every,
+        surge_for=scales.surge_for * settings.surge_for,
+    )
+
+
+def _distrust(factor: str, settings: Settings) -> Adaptive:
+    """A factor whose thresholds let another share of good measurements pass."""
+    usual = Adaptive(factor)
+    tails = tuple(1.0 - (1.0 - p) * settings.tail for p in usual.rule.probabilities)
+    return usual if settings.tail == 1.0 else replace(usual, probabilities=tails)
+
+
+def _learned(name: str, scenario: Scenario) -> tuple[Bank, str]:
+    """The bank of the pretrained model that learned from this scenario's target, or of the one named."""
+    from jink.envs.scenarios import SCENARIOS
+    from jink.intent.pretrained import load_pretrained, pretrained_names
+
+    for known in pretrained_names() if name == "learned" else (name,):
+        model = load_pretrained(known)
+        tracks = model.about.get("tracks")
+        source = SCENARIOS.get(str(tracks.get("source"))) if isinstance(tracks, dict) else None
+        if model.axes == scenario.axes and (name != "learned" or (source and source.motion == scenario.motion)):
+            return model.bank(scenario.sensor), known
+    raise NoSuchRung("no pretrained model has learned from this target")
+
+
+def _prior(episodes: Episodes) -> Prior:
+    return Prior(mean=episodes.prior_mean, cov=episodes.prior_cov)
+
+
+def _following(estimator: Any, scenario: Scenario, settings: Settings, told: Mapping[str, Any]) -> Follower:
+    def inputs(episodes: Episodes) -> tuple[Any, ...]:
+        noise = None if settings.noise == 1.0 else settings.noise * episodes.nominal_noise
+        return episodes.measurements, episodes.times, noise, episodes.sensor_states
+
+    def estimate(episodes: Episodes) -> Estimates:
+        return estimator.run(*inputs(episodes), prior=_prior(episodes))
+
+    def read(episodes: Episodes, found: Estimates) -> Readings:
+        z, times, noise, places = inputs(episodes)
+        forecast = estimator.forecast_run(z, times, HORIZON_S, noise, places, prior=_prior(episodes))[0]
+        return Readings(forecast, _true_intents(estimator, scenario, found), _surge(estimator, found))
+
+    return Follower(estimate, read, told)
+
+
+def _true_intents(estimator: Any, scenario: Scenario, found: Estimates) -> Floats | None:
+    """Probability of each true intent, (B, T, I); None where the bank has one intent or the target has."""
+    names = list(getattr(estimator, "intents", ()))
+    if len(names) < 2 or len(scenario.intents) < 2:
+        return None
+    probs = np.asarray(estimator.intent_probs(found))
+    shares = np.full((*probs.shape[:2], len(scenario.intents)), np.nan)
+    for column, true in enumerate(scenario.intents):
+        mine = [i for i, name in enumerate(names) if name in _SAME.get(true, (true,))]
+        if mine:
+            shares[..., column] = probs[..., mine].sum(axis=2)
+    return shares
+
+
+def _surge(estimator: Any, found: Estimates) -> Floats | None:
+    try:
+        return np.asarray(estimator.surge_probability(found))
+    except (AttributeError, ValueError):  # it has no noise levels
+        return None
+
+
+def _oracle(scenario: Scenario, scales: Scales, told: Mapping[str, Any]) -> Follower:
+    """Told the noise of every sample, and the intent where the target has several: `jink.estimators.oracles`."""
+    several = len(scenario.intents) > 1
+    bank = (intent_imm if several else kf_cv)(scenario.sensor, scales)
+    known = [mode.purpose for mode in bank.modes]
+    column = np.array([known.index(name) if name in known else -1 for name in scenario.intents])
+
+    def estimate(episodes: Episodes) -> Estimates:
+        intents = column[episodes.truth.intent] if several else None
+        return oracle(
+            bank, episodes.measurements, episodes.times, noise=episodes.noise, intents=intents,
+            sensor_states=episodes.sensor_states, prior=_prior(episodes), threads=1,
+        )  # fmt: skip
+
+    def read(episodes: Episodes, found: Estimates) -> Readings:
+        if several:  # a forecast that is told the intents to come would be told too much
+            return Readings()
+        places = episodes.sensor_states
+        estimator = BankEstimator(bank, threads=1)
+        args = (episodes.measurements, episodes.times, HORIZON_S, episodes.noise, places)
+        return Readings(estimator.forecast_run(*args, prior=_prior(episodes))[0])
+
+    return Follower(estimate, read, told)
+
+
+def _says_nothing(episodes: Episodes, found: Estimates) -> Readings:
+    return Readings(found.position + HORIZON_S * found.velocity)
+
+
+def _raw(sensor: Sensor, episodes: Episodes) -> Estimates:
+    """The last measured position, and the difference of the last two as velocity; the prior before the first."""
+    B, T = episodes.times.shape
+    A = episodes.truth.position.shape[2]
+    position, velocity = np.empty((B, T, A)), np.empty((B, T, A))
+    for b, times in enumerate(episodes.times):
+        seen = seen_positions(sensor, episodes.measurements[b], episodes.sensor_states[b])
+        place, speed, since = episodes.prior_mean[b, :A], episodes.prior_mean[b, A:], times[0]
+        for k in range(T):
+            if np.isfinite(seen[k]).all():
+                if times[k] > since:
+                    speed = (seen[k] - place) / (times[k] - since)
+                place, since = seen[k], times[k]
+            position[b, k], velocity[b, k] = place, speed
+    nothing = np.full((B, T), np.nan)
+    return Estimates(
+        episodes.times, position, velocity, np.full((B, T, 2 * A, 2 * A), np.nan), np.ones((B, T, 1)),
+        nothing, np.zeros((B, T)), np.zeros((B, T), dtype=np.int64), np.zeros((B, T), dtype=np.int8),
+    )  # fmt: skip
