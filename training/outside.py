@@ -290,7 +290,7 @@ class OutsideEstimator:
         codes = np.where(status >= 0, status, np.where(seen > 0, OK, MISSING))
         codes = np.where(wild, DIVERGED, np.where(begun, codes, STARTING)).astype(np.int8)
         nis = np.where(judged, nis, 0.0)
-        log_likelihood = np.where(judged & np.isfinite(log_likelihood), log_likelihood, 0.0)
+        log_likelihood = np.where(begun & (seen > 0) & np.isfinite(log_likelihood), log_likelihood, 0.0)
         return position, velocity, covariance, probs, log_likelihood, nis, dof, codes
 
 
