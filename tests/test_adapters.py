@@ -9,6 +9,7 @@ import pytest
 
 from jink.estimators.api import BankEstimator
 from jink.estimators.bank import Bank, Mode
+from jink.estimators.inputs import Prior
 from jink.estimators.markov import MarkovChain
 from jink.estimators.motions import constant_velocity
 from jink.estimators.recipes import Scales, make_estimator
@@ -112,6 +113,17 @@ def test_imm_equals_a_bank_of_ours():
     np.testing.assert_allclose(them.position, ours.position, **CLOSE)
     np.testing.assert_allclose(them.covariance, ours.covariance, **CLOSE)
     np.testing.assert_allclose(them.log_likelihood[0, 1:], ours.log_likelihood[0, 1:], **CLOSE)
+
+
+@pytest.mark.parametrize("name", [FILTERPY + "kf_cv", SOUP + "kalman"])
+def test_a_prior_is_used_as_by_ours(name):
+    sensor, z = position(2, 5.0), gaps(Z)
+    z[0] = np.nan
+    prior = Prior(np.array([520.0, 310.0, 12.0, 3.0]), np.diag([25.0, 16.0, 9.0, 4.0]))
+    ours = make_estimator("kf-cv", sensor, **SCALES).run(z, TIMES, prior=prior)
+    them = make_named(name, sensor, **SCALES).run(z, TIMES, prior=prior)
+    np.testing.assert_allclose(them.position[:, 1:], ours.position[:, 1:], **CLOSE)
+    np.testing.assert_allclose(them.covariance[:, 1:], ours.covariance[:, 1:], **CLOSE)
 
 
 def test_labels_must_fit():

@@ -350,6 +350,30 @@ def test_refusals_are_those_of_our_own(tmp_path):
         estimator.run(Z, TIMES[::-1])
 
 
+def test_the_benchmark_gives_a_prior_and_reads_forecasts(tmp_path):
+    from jink.envs.scenarios import make_scenario
+    from jink.estimators.inputs import Prior
+    from jink.training.third_party import load_estimator
+
+    spec = write(
+        tmp_path,
+        """
+        def make(sensor, acceleration, speed):
+            def track(measurements, prior):
+                mean, cov = prior
+                assert acceleration != 1.0 and speed != 10.0 and cov.shape == (4, 4)
+                return {"position": measurements + mean[:2], "velocity": 0 * measurements + mean[2:]}
+            return track
+        """,
+    )
+    estimator = load_estimator(spec, make_scenario("surge-25-bursts-v0"))
+    prior = Prior(np.array([[1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 8.0]]), np.eye(4))
+    found = estimator.run(np.stack([Z, Z]), TIMES, prior=prior)
+    np.testing.assert_array_equal(found.position[1], Z + np.array([5.0, 6.0]))
+    ahead, _ = estimator.forecast_run(np.stack([Z, Z]), TIMES, 2.0, prior=prior)
+    np.testing.assert_array_equal(ahead[1], Z + np.array([5.0, 6.0]) + 2.0 * np.array([7.0, 8.0]))
+
+
 # --- on the command line
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jink.estimators.api import Estimates
-from jink.estimators.inputs import check_inputs
+from jink.estimators.inputs import Prior, check_inputs
 from jink.estimators.records import Inputs
 from jink.estimators.sensor import Sensor
 from jink.estimators.status import DIVERGED, MISSING, OK, STARTING
@@ -19,8 +19,7 @@ from jink.training.reported import Reported, read_reported, track_arrays
 __all__ = ["OutsideEstimator", "WholeTrack", "without_unreported"]
 
 Floats = NDArray[np.float64]
-_RUN = ("measurements", "times", "noise", "sensor_states", "lengths")
-_START = ("measurements", "times", "noise", "sensor_states")
+_START = ("measurements", "times", "noise", "sensor_states", "prior")
 _STEP = ("state", "measurement", "time", "noise", "sensor_state")
 
 
@@ -38,12 +37,17 @@ class _Sizes(NamedTuple):
 
 
 class _One(NamedTuple):
-    """One track without padding: measurements (T, D), times (T,), noise (T, D, D), sensor_states (T, 2A)."""
+    """One track without padding: measurements (T, D), times (T,), noise (T, D, D), sensor_states (T, 2A), prior."""
 
     measurements: Floats
     times: Floats
     noise: Floats
     sensor_states: Floats
+    prior: tuple[Floats, Floats] | None
+
+    def head(self, rows: int) -> tuple[Any, ...]:
+        """The first rows."""
+        return (*(column[:rows] for column in self[:4]), self.prior)
 
 
 class OutsideEstimator:
@@ -57,7 +61,9 @@ class OutsideEstimator:
     * ``run(measurements, times, noise, sensor_states, lengths)`` of B tracks at once -> estimates (B, T, ...).
     * a function ``(measurements, times, noise, sensor_states)`` of one track -> estimates (T, ...).
 
-    Parameters are passed by name, and those that a signature leaves out are not passed. An estimate is a position
+    Parameters are passed by name, and those that a signature leaves out are not passed. All forms can also ask for
+    ``prior``: mean (2A,) and covariance (2A, 2A) of position and velocity at the first row, before its measurement; the
+    benchmark gives one to every estimator, elsewhere it is None. An estimate is a position
     alone, or a mapping or object with ``position`` and any of velocity, covariance, mode_probs, log_likelihood, nis,
     nis_dof, status. What is left out is NaN (velocity, covariance) or absent (nis_dof 0), so that no score is made
     from it; a position that is not finite is replaced by the one before it and marked DIVERGED.
@@ -91,8 +97,8 @@ class OutsideEstimator:
         plain._copies = False
         return plain
 
-    def _own(self, array: Floats) -> Floats:
-        return array.copy() if self._copies else array
+    def _own(self, array: Any) -> Any:
+        return array.copy() if self._copies and isinstance(array, np.ndarray) else array
 
     def run(
         self,
@@ -101,12 +107,35 @@ class OutsideEstimator:
         noise: ArrayLike | None = None,
         sensor_states: ArrayLike | None = None,
         lengths: ArrayLike | None = None,
+        *,
+        prior: Prior | None = None,
     ) -> Estimates:
         """Filtered estimates of B tracks: arguments and shapes as `jink.estimators.api.BankEstimator.run`."""
         sizes: Any = _Sizes(self.sensor, self.modes)
         inputs = check_inputs(sizes, measurements, times, noise, sensor_states, lengths, caller=self.name)
-        raw = self._batch(inputs) if self.batches else [self._one(track) for track in _tracks(inputs)]
+        priors = _priors(prior, len(inputs.measurements))
+        raw = self._batch(inputs, priors) if self.batches else [self._one(t) for t in _tracks(inputs, priors)]
         return self._complete(inputs, raw)
+
+    def forecast_run(
+        self,
+        measurements: ArrayLike,
+        times: ArrayLike,
+        horizon: float,
+        noise: ArrayLike | None = None,
+        sensor_states: ArrayLike | None = None,
+        lengths: ArrayLike | None = None,
+        *,
+        prior: Prior | None = None,
+    ) -> tuple[Floats, Floats]:
+        """At every row, position ``horizon`` s ahead: straight on at the velocity reported; NaN without one.
+
+        Returns:
+            Mean (B, T, A) in m; a covariance (B, T, A, A) of NaN, for nothing is known of it.
+        """
+        found = self.run(measurements, times, noise, sensor_states, lengths, prior=prior)
+        axes = self.sensor.axes
+        return found.position + horizon * found.velocity, np.full((*found.status.shape, axes, axes), np.nan)
 
     def start(
         self,
@@ -139,7 +168,7 @@ class OutsideEstimator:
         z = np.atleast_2d(np.asarray(measurements, dtype=np.float64))
         at = np.atleast_1d(np.asarray(times, dtype=np.float64))
         sizes: Any = _Sizes(self.sensor, self.modes)
-        (track,) = _tracks(check_inputs(sizes, z, at, noise, sensor_states, caller="start"))
+        (track,) = _tracks(check_inputs(sizes, z, at, noise, sensor_states, caller="start"), None)
         state = said = None
         for state, said in self.follow(track):  # noqa: B007 - the last pair is what is wanted
             pass
@@ -184,9 +213,8 @@ class OutsideEstimator:
                 )
                 yield state, estimate
                 continue
-            head = slice(0, row + 1)
-            if np.isfinite(track.measurements[head]).any():
-                given = dict(zip(_START, (self._own(column[head]) for column in track), strict=True))
+            if np.isfinite(track.measurements[: row + 1]).any():
+                given = dict(zip(_START, map(self._own, track.head(row + 1)), strict=True))
                 first = self._call("start", self.made.start, given)
                 if first is not None:
                     begun = True
@@ -223,7 +251,7 @@ class OutsideEstimator:
         except Exception as error:
             raise ValueError(f"{self.name}: {method} must not raise; got {said(error)}. Mend it.") from error
 
-    def _batch(self, inputs: Inputs) -> list[tuple[Reported, int]]:
+    def _batch(self, inputs: Inputs, priors: tuple[Floats, Floats] | None) -> list[tuple[Reported, int]]:
         tracks, rows = inputs.measurements.shape[:2]
         D, kin = self.sensor.size, 2 * self.sensor.axes
         given = {
@@ -232,6 +260,7 @@ class OutsideEstimator:
             "noise": np.array(np.broadcast_to(inputs.noise, (tracks, rows, D, D))),
             "sensor_states": np.array(np.broadcast_to(inputs.sensors, (tracks, rows, kin))),
             "lengths": inputs.lengths.copy(),
+            "prior": priors,
         }
         found = self._call("run", self.made.run, given)
         many = read_reported(found, (tracks, rows), self.sensor.axes, self.modes, self.name)
@@ -243,7 +272,7 @@ class OutsideEstimator:
         if not self.streams:
             if rows == 0:
                 return track_arrays([], self.sensor.axes, self.modes), 0
-            given = dict(zip(_START, (self._own(column) for column in track), strict=True))
+            given = dict(zip(_START, map(self._own, track), strict=True))
             found = self._call("track", self._track, given)
             seen = np.isfinite(track.measurements).any(axis=1)
             return (
@@ -318,13 +347,23 @@ def _first_seen(inputs: Inputs, b: int) -> int:
     return int(np.argmax(seen)) if seen.any() else len(seen)
 
 
-def _tracks(inputs: Inputs) -> Iterator[_One]:
+def _priors(prior: Prior | None, tracks: int) -> tuple[Floats, Floats] | None:
+    """Means (B, 2A) and covariances (B, 2A, 2A)."""
+    if prior is None:
+        return None
+    mean, cov = np.asarray(prior.mean, dtype=np.float64), np.asarray(prior.cov, dtype=np.float64)
+    kin = mean.shape[-1]
+    return np.array(np.broadcast_to(mean, (tracks, kin))), np.array(np.broadcast_to(cov, (tracks, kin, kin)))
+
+
+def _tracks(inputs: Inputs, priors: tuple[Floats, Floats] | None) -> Iterator[_One]:
     tracks, rows, D = inputs.measurements.shape
     times = np.broadcast_to(inputs.times, (tracks, rows))
     noise = np.broadcast_to(inputs.noise, (tracks, rows, D, D))
     places = np.broadcast_to(inputs.sensors, (tracks, rows, inputs.sensors.shape[-1]))
     for b, length in enumerate(inputs.lengths):
-        yield _One(inputs.measurements[b, :length], times[b, :length], noise[b, :length], places[b, :length])
+        prior = None if priors is None else (priors[0][b], priors[1][b])
+        yield _One(inputs.measurements[b, :length], times[b, :length], noise[b, :length], places[b, :length], prior)
 
 
 def _accepted(function: Callable[..., Any], given: dict[str, Any]) -> dict[str, Any]:

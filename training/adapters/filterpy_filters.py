@@ -82,22 +82,34 @@ class FilterPyFilter:
                 f"FilterPyFilter: sensor must be linear for KalmanFilter; got {sensor.name}. Use UnscentedKalmanFilter."
             )
 
-    def start(self, measurements: Floats, times: Floats, noise: Floats, sensor_states: Floats) -> Any:
-        """As `start_prior`: position from the measurements, velocity around zero; None while they do not locate."""
+    def start(
+        self, measurements: Floats, times: Floats, noise: Floats, sensor_states: Floats, prior: Any = None
+    ) -> Any:
+        """From a prior, or as `start_prior`: position from the measurements; None while they do not locate."""
+        if prior is not None:
+            state, said = self._begun(prior[0], prior[1], float(times[0])), None
+            for row in zip(measurements, times, noise, sensor_states, strict=True):
+                state, said = self.step(state, *row)
+            return state, said
         found = start_prior(self.sensor, measurements, times, noise, sensor_states, self.speed, complete=False)
         if not found.ok:
             return None
+        kin = np.concatenate([found.position, found.velocity])
+        state = self._begun(kin, found.covariance, float(times[-1]))
+        self._load(state)
+        return state, self._said()
+
+    def _begun(self, kin: Floats, kin_cov: Floats, time: float) -> FilterPyState:
+        """Every filter at the same place; the rest of each as it was given."""
         means, covs = [], []
         for template, spread in zip(self.first.means, self.first.covs, strict=True):
             mean, cov = template.copy(), spread.copy()
-            mean.ravel()[self.kin] = np.concatenate([found.position, found.velocity])
+            mean.ravel()[self.kin] = kin
             cov[self.kin, :] = cov[:, self.kin] = 0.0
-            cov[np.ix_(self.kin, self.kin)] = found.covariance
+            cov[np.ix_(self.kin, self.kin)] = kin_cov
             means.append(mean)
             covs.append(cov)
-        state = FilterPyState(tuple(means), tuple(covs), self.first.mode_probs.copy(), float(times[-1]))
-        self._load(state)
-        return state, self._said()
+        return FilterPyState(tuple(means), tuple(covs), self.first.mode_probs.copy(), time)
 
     def step(self, state: FilterPyState, measurement: Floats, time: float, noise: Floats, sensor_state: Floats) -> Any:
         """Predict to the time, then update with what was measured; where FilterPy raises, the row is DIVERGED."""

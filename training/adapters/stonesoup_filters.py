@@ -60,17 +60,26 @@ class StoneSoupFilter:
         if updater.measurement_model is None:
             updater.measurement_model = measurement_model(sensor, self.size, self.kin)
 
-    def start(self, measurements: Floats, times: Floats, noise: Floats, sensor_states: Floats) -> Any:
-        """As `start_prior`: position from the measurements, velocity around zero; None while they do not locate."""
-        types = need("stonesoup.types.state", "peers")
+    def start(
+        self, measurements: Floats, times: Floats, noise: Floats, sensor_states: Floats, prior: Any = None
+    ) -> Any:
+        """From a prior, or as `start_prior`: position from the measurements; None while they do not locate."""
+        if prior is not None:
+            state, said = self._begun(prior[0], prior[1], times[0]), None
+            for row in zip(measurements, times, noise, sensor_states, strict=True):
+                state, said = self.step(state, *row)
+            return state, said
         found = start_prior(self.sensor, measurements, times, noise, sensor_states, self.speed, complete=False)
         if not found.ok:
             return None
-        mean, cov = np.zeros(self.size), self.rest**2 * np.eye(self.size)
-        mean[self.kin] = np.concatenate([found.position, found.velocity])
-        cov[np.ix_(self.kin, self.kin)] = found.covariance
-        state = types.GaussianState(mean[:, None], cov, timestamp=stamp(times[-1]))
+        state = self._begun(np.concatenate([found.position, found.velocity]), found.covariance, times[-1])
         return state, self._said(state)
+
+    def _begun(self, kin: Floats, kin_cov: Floats, time: float) -> Any:
+        mean, cov = np.zeros(self.size), self.rest**2 * np.eye(self.size)
+        mean[self.kin] = kin
+        cov[np.ix_(self.kin, self.kin)] = kin_cov
+        return need("stonesoup.types.state", "peers").GaussianState(mean[:, None], cov, timestamp=stamp(time))
 
     def step(self, state: Any, measurement: Floats, time: float, noise: Floats, sensor_state: Floats) -> Any:
         """Predict to the time, then update with the components that were measured."""
