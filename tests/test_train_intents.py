@@ -20,6 +20,7 @@ from jink.estimators.tracks import Tracks
 from jink.intent.model_file import MODEL_FILE, load_model, save_model
 from jink.intent.pretrained import load_pretrained, pretrained_names
 from jink.intent.progress import Progress
+from jink.training import intent_drawing
 from jink.training import train_intents as training
 from jink.training.cli import main
 from jink.training.intent_graphs import CurvePoint, plot_curve, plot_graph
@@ -43,6 +44,12 @@ def refused(capsys, *arguments):
     said = err.replace("compiling (first run only)\n", "")
     assert out == "" and len(said.strip().splitlines()) == 1 and said.startswith("jink: "), err
     return said
+
+
+@pytest.fixture(autouse=True)
+def coarse_pictures(monkeypatch):
+    """What is drawn does not depend on the resolution, which costs most of the time."""
+    monkeypatch.setattr(intent_drawing, "DPI", 50)
 
 
 @pytest.fixture
@@ -198,6 +205,46 @@ def test_refusals_are_one_sentence(stand_in, files, tmp_path, capsys, arguments,
     assert (folder / "thesis.tex").read_text() == "mine"
 
 
+def test_positions_that_never_change_teach_nothing(stand_in, files, tmp_path, capsys):
+    frame = pd.read_csv(files[0])
+    still = tmp_path / "still.csv"
+    frame.assign(x=4.0, y=frame["track"].astype(float)).to_csv(still, index=False)  # another place for every track
+    said = refused(capsys, "train", "intents", still, "--sigma", 1, "--out", tmp_path / "m")
+    assert "SOURCES: positions must change within a track; got the same one in every row of still.csv" in said
+    assert not (tmp_path / "m").exists() and not stand_in
+    frame.loc[len(frame) - 1, "x"] += 1.0
+    frame.assign(y=4.0).to_csv(still, index=False)
+    assert run("train", "intents", still, "--sigma", 1, "--out", tmp_path / "m") == 0
+
+
+def test_too_little_is_refused_in_the_words_of_the_command(files, tmp_path, capsys):
+    pytest.importorskip("torch")
+    few = tmp_path / "few.csv"
+    pd.read_csv(files[0]).head(3).to_csv(few, index=False)
+    said = refused(capsys, "train", "intents", few, "--sigma", 1, "--out", tmp_path / "m")
+    assert said.startswith("jink: SOURCES: tracks must hold at least 100 measured rows")
+
+
+@pytest.mark.parametrize(
+    ("device", "words"),
+    [
+        ("tpu", "--device: value must be cpu or cuda; got 'tpu'"),
+        ("cuda:x", "--device: value must be cpu or cuda; got 'cuda:x'"),
+        ("cuda", "--device: cuda must have a GPU and a torch built for it; got neither here"),
+        ("cuda:7", "--device: cuda must have a GPU"),
+    ],
+)
+def test_a_device_that_is_not_there_is_refused(files, tmp_path, capsys, monkeypatch, device, words):
+    torch = pytest.importorskip("torch")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    given = ("train", "intents", files[0], "--sigma", 1, "--out", tmp_path / "m", "--device", device)
+    assert words in refused(capsys, *given)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    if device == "cuda:7":
+        assert "--device: number must be below 2" in refused(capsys, *given)
+
+
 @pytest.mark.parametrize("command", [("train",), ("train", "intents"), ("show",), ("segment",)])
 def test_help_has_examples(command, capsys):
     assert run(*command, "--help") == 0
@@ -283,7 +330,7 @@ def test_show_prints_and_draws(tmp_path, capsys, monkeypatch):
     save_model(stand_in_model().with_(about={"tracks": {"tracks": 7, "source": "[red]a.csv"}}), "m")
     assert run("show", "m", "--plot", "m.png") == 0
     text = capsys.readouterr().out
-    assert "learned from 7 tracks of [red]a.csv" in text and "intent 2 (turn)" in text
+    assert "m: 2 intents in 2 axes, learned from 7 tracks of [red]a.csv" in text and "intent 2 (turn)" in text
     assert re.search(r"straight +- +100 % +10 s", text)
     assert any(0x2801 <= ord(letter) < 0x2900 for letter in text)
     assert plt.imread(tmp_path / "m.png").std() > 0.02

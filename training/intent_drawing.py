@@ -20,6 +20,7 @@ from jink.training.plotting import MODE_COLOURS
 __all__ = ["STYLE", "colour_of", "lasting", "leaving_rates", "save_figure"]
 
 Floats = NDArray[np.float64]
+DPI = 150
 STYLE: dict[Any, Any] = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
 
 
@@ -42,7 +43,7 @@ def save_figure(figure: Any, path: Path) -> None:
     """Write and close a figure; the file is replaced whole or not at all."""
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        figure.savefig(part, dpi=150, format=path.suffix[1:].lower())
+        figure.savefig(part, dpi=DPI, format=path.suffix[1:].lower())
         part.replace(path)
     finally:
         plt.close(figure)

@@ -30,8 +30,10 @@ Floats = NDArray[np.float64]
 _SAMPLES, _POINTS = 20, 79
 _DOTS = 4000
 _SURE = 3.0  # speed over its standard deviation, below which a turn rate means nothing
+_ROWS = 7.0  # median time steps, below which a window says nothing
 _SHORTEST, _LONGEST, _STRETCH = 2.0, 120.0, 1.5  # s, s, mean durations
 _MARKS = 13
+_CLEAR, _SEEN = 0.8, (0.01, 0.99)  # shares of rows that are drawn, and that limits of axes hold at least
 
 
 def plot_rollouts(path: Path, model: IntentModel, seed: int = 0) -> None:
@@ -74,8 +76,11 @@ def plot_clusters(path: Path, model: IntentModel, tracks: Tracks, labels: NDArra
         labels: intent of each row; (B, T); negative: none.
     """
     sigma = None if model.noise_sd is None else float(np.sqrt(np.mean(np.square(model.noise_sd))))
-    features = encode(tracks, choose_window(tracks, sigma), sigma)
+    features = encode(tracks, _window(model, tracks, sigma), sigma)
     known = features.valid & (features.speed_ratio > _SURE) & (labels >= 0)
+    if known.any():  # rows of which little is known hide the others
+        doubt = np.trace(features.eta_cov[..., 1:, 1:], axis1=2, axis2=3)
+        known &= doubt <= np.quantile(doubt[known], _CLEAR)
     chosen = np.flatnonzero(known)
     chosen = (
         chosen[np.linspace(0, len(chosen) - 1, min(_DOTS, len(chosen))).astype(np.int64)] if len(chosen) else chosen
@@ -90,10 +95,13 @@ def plot_clusters(path: Path, model: IntentModel, tracks: Tracks, labels: NDArra
             said = f"{intent.name}: {', then '.join(describe_phase(phase) for phase in intent.phases)}"
             axis.plot([], [], "o", ms=5, color=colour_of(number), label=said)
             _draw_births(axis, model, number)
-        for set_limits, values in ((axis.set_xlim, turn), (axis.set_ylim, growth)):
+        births = _extent(model)
+        for set_limits, values, reach in ((axis.set_xlim, turn, births[0]), (axis.set_ylim, growth, births[1])):
             if len(values):
-                low, high = np.quantile(values, [0.003, 0.997])
-                margin = 0.08 * max(high - low, 1e-3)
+                low, high = np.quantile(values, _SEEN)
+                room = max(high - low, 1e-3)
+                low, high = max(min(low, reach[0]), low - 0.5 * room), min(max(high, reach[1]), high + 0.5 * room)
+                margin = 0.08 * (high - low)
                 set_limits(low - margin, high + margin)
         axis.set(
             xlabel="turn rate, deg/s" if model.axes == 2 else "size of the turn rate, deg/s",
@@ -185,6 +193,24 @@ def _draw_births(axis: Any, model: IntentModel, number: int) -> None:
                         zorder=5,
                     )
                 )
+
+
+def _window(model: IntentModel, tracks: Tracks, sigma: float | None) -> float:
+    """The encoder's window, but no longer than intents last on average."""
+    chosen, rates = choose_window(tracks, sigma), leaving_rates(model)
+    last = [lasting(model, number) for number in range(len(model.intents)) if rates[number] > 0]
+    steps = np.diff(tracks.times, axis=1)[tracks.used[:, 1:]]
+    shortest = _ROWS * float(np.median(steps[steps > 0]))
+    return max(min([chosen, *last]), min(chosen, shortest))
+
+
+def _extent(model: IntentModel) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Reach of the births at two standard deviations: turn rate, deg/s, and growth, %/s."""
+    births = [birth for intent in model.intents for phase in intent.phases for birth in phase.births]
+    turn = max(math.degrees(abs(birth.turn_mean) + 2.0 * birth.turn_sd) for birth in births)
+    low = min(100.0 * (birth.growth_mean - 2.0 * birth.growth_sd) for birth in births)
+    high = max(100.0 * (birth.growth_mean + 2.0 * birth.growth_sd) for birth in births)
+    return (-turn if model.axes == 2 else 0.0, turn), (low, high)
 
 
 def _turn(rates: Floats) -> Floats:

@@ -17,6 +17,7 @@ from jink.intent.model import IntentModel
 from jink.training.intent_drawing import leaving_rates
 from jink.training.intent_graphs import CurvePoint
 from jink.training.summary import number, plain_table
+from jink.training.wording import counted
 
 __all__ = ["print_model", "print_trained", "write_readme"]
 
@@ -25,7 +26,9 @@ def print_trained(console: Console, report: Any) -> None:
     """Print the summary of one training (`TrainReport`)."""
     tracks = report.tracks
     rows = int(tracks.lengths.sum())
-    console.print(f"[bold]{escape(tracks.source)}[/bold]: {len(tracks)} tracks, {rows} rows in {tracks.axes} axes")
+    console.print(
+        f"[bold]{escape(tracks.source)}[/bold]: {counted(len(tracks), 'track')}, {rows} rows in {tracks.axes} axes"
+    )
     for note in tracks.notes:
         console.print(f"  {escape(note)}", style="dim")
     if report.finished_before:
@@ -92,11 +95,11 @@ def write_readme(
 ) -> None:
     """Write what a person who finds the folder wants to know; the same model gives the same text."""
     about: Mapping[str, Any] = model.about
-    one, rows = len(model.intents) == 1, int(tracks.lengths.sum())
+    rows = int(tracks.lengths.sum())
     lines = [
-        f"# {len(model.intents)} intent{'' if one else 's'}",
+        f"# {counted(len(model.intents), 'intent')}",
         "",
-        f"Learned from {len(tracks)} tracks ({rows} rows in {tracks.axes} axes) of {tracks.source}.",
+        f"Learned from {counted(len(tracks), 'track')} ({rows} rows in {tracks.axes} axes) of {tracks.source}.",
         "",
         *(f"* {line}" for line in model.describe().splitlines()),
         "",

@@ -22,6 +22,7 @@ from jink.training.pooling import as_positions
 from jink.training.running import run_tracks
 from jink.training.summary import number, plain_table
 from jink.training.track import TrackReport, TrackRequest, read
+from jink.training.wording import counted
 
 __all__ = ["SegmentReport", "SegmentRequest", "print_segmented", "segment_file", "write_labels"]
 
@@ -120,7 +121,9 @@ def print_segmented(console: Console, report: SegmentReport) -> None:
     """Print shares, durations and the first change points."""
     tracks, found = report.tracks, report.found
     rows = int(tracks.lengths.sum())
-    console.print(f"[bold]{escape(tracks.source)}[/bold]: {len(tracks)} tracks, {rows} rows in {tracks.axes} axes")
+    console.print(
+        f"[bold]{escape(tracks.source)}[/bold]: {counted(len(tracks), 'track')}, {rows} rows in {tracks.axes} axes"
+    )
     runs = [run for b in range(len(tracks)) for run in found.runs(b)]
     table = plain_table("intent", "share of rows", "stretches", "median duration, s")
     for label, name in enumerate(found.names):

@@ -16,6 +16,7 @@ from jink.training.intent_pictures import draw_model, sample_rollouts, typical_s
 from jink.training.intent_summary import print_model
 from jink.training.models import find_model
 from jink.training.sketch import sketch
+from jink.training.wording import counted
 
 __all__ = ["show"]
 
@@ -36,7 +37,9 @@ def show(name: str, plot: Path | None, console: Console) -> None:
     """
     check_writable(plot, "--plot", (".png", ".pdf", ".svg"))
     model = find_model(name, option="MODEL")
-    console.print(f"[bold]{escape(name)}[/bold]: {len(model.intents)} intents in {model.axes} axes, {_origin(model)}")
+    console.print(
+        f"[bold]{escape(name)}[/bold]: {counted(len(model.intents), 'intent')} in {model.axes} axes, {_origin(model)}"
+    )
     print_model(console, model)
     _print_sketches(console, model)
     if plot is not None:
@@ -61,4 +64,4 @@ def _origin(model: IntentModel) -> str:
     tracks = model.about.get("tracks")
     if not isinstance(tracks, dict):
         return "of unknown origin"
-    return escape(f"learned from {tracks.get('tracks', '?')} tracks of {tracks.get('source', '?')}")
+    return escape(f"learned from {counted(tracks.get('tracks', '?'), 'track')} of {tracks.get('source', '?')}")

@@ -31,6 +31,7 @@ from jink.training.running import run_tracks
 from jink.training.track import TrackRequest
 from jink.training.training_folder import WORK, finish, finished_model, prepare
 from jink.training.training_log import TrainingLog
+from jink.training.wording import in_own_words
 
 __all__ = ["PICTURES", "TrainReport", "TrainRequest", "train_intents"]
 
@@ -115,6 +116,7 @@ def train_intents(request: TrainRequest) -> TrainReport:
     """
     with say_when_compiling():
         tracks = gather(request.sources, request.reading, count=request.tracks, steps=request.steps, seed=request.seed)
+        _check_motion(tracks)
         key = _key(request, tracks)
         out = request.out
         done = finished_model(out, key, request.fresh)
@@ -125,7 +127,8 @@ def train_intents(request: TrainRequest) -> TrainReport:
         work = out / WORK
         with TrainingLog(work / "progress.jsonl", out / "tensorboard") as log:
             learner = _make_learner(request, tracks, work / "learner", log)
-            learner.fit(tracks)
+            with in_own_words("SOURCES"):
+                learner.fit(tracks)
             trace = log.trace()
         model, curve = _with_provenance(learner, request, tracks, key), _curve(learner)
         save_model(model, out)
@@ -134,6 +137,40 @@ def train_intents(request: TrainRequest) -> TrainReport:
         write_readme(out / "README.md", model, tracks, curve, resolvable, PICTURES)
         finish(out, key)
     return TrainReport(model, tracks, curve, resolvable, out, resumed, False)
+
+
+def _check_motion(tracks: Tracks) -> None:
+    """Refuse positions that never change: any law explains them, without noise, infinitely well."""
+    for track in tracks:
+        seen = track.measurements[np.isfinite(track.measurements).all(axis=1)]
+        if not len(seen) or (seen != seen[0]).any():
+            return
+    raise ValueError(
+        f"SOURCES: positions must change within a track; got the same one in every row of {tracks.source}. "
+        "Check the columns with --columns."
+    )
+
+
+def _check_device(device: str) -> None:
+    """Refuse a device that this torch cannot compute on.
+
+    Raises:
+        ValueError: an unknown name, or no such device here.
+    """
+    import torch
+
+    kind, _, number = device.partition(":")
+    if kind not in ("cpu", "cuda") or (number and not number.isdecimal()):
+        raise ValueError(f"--device: value must be cpu or cuda; got '{device}'. Leave it out for the processor.")
+    if kind == "cuda":
+        count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+        if count == 0:
+            raise ValueError(
+                "--device: cuda must have a GPU and a torch built for it; got neither here. Leave the option out to "
+                "train on the processor, or install torch for CUDA."
+            )
+        if int(number or 0) >= count:
+            raise ValueError(f"--device: number must be below {count}, the GPUs here; got '{device}'. Use cuda.")
 
 
 def _make_learner(request: TrainRequest, tracks: Tracks, checkpoint: Path, log: Callable[[Progress], None]) -> Any:
@@ -145,6 +182,7 @@ def _make_learner(request: TrainRequest, tracks: Tracks, checkpoint: Path, log: 
         ) from error
     from jink.intent.learner import IntentLearner
 
+    _check_device(request.device)
     # On matrices this small a second thread costs more than it gains.
     torch.set_num_threads(1)
     options: dict[str, Any] = {} if request.seconds is None else {"seconds": request.seconds}

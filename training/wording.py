@@ -6,7 +6,7 @@ import contextlib
 import re
 from collections.abc import Collection, Iterator
 
-__all__ = ["in_own_words"]
+__all__ = ["counted", "in_own_words"]
 
 _CALLER = re.compile(r"(?P<caller>[A-Za-z_]\w*(?:\.[a-z_]\w*)?): (?P<rest>(?P<word>\S+).*)", re.DOTALL)
 
@@ -36,3 +36,8 @@ def in_own_words(subject: str, options: Collection[str] = (), files: Collection[
         elif word != "path" and word.rstrip(",") not in files:
             rest = f"{subject}: {rest}"
         raise type(error)(rest) from error
+
+
+def counted(count: object, thing: str) -> str:
+    """A number of things: "1 track", "7 tracks"."""
+    return f"{count} {thing}" if count == 1 else f"{count} {thing}s"
