@@ -16,8 +16,7 @@ from jink.envs.recorded import read_tracks
 from jink.estimators.recipes import RECIPES, make_estimator
 from jink.estimators.sensors import SENSORS, position, range_bearing
 from jink.estimators.tracks import Tracks
-from jink.training import bench as bench_module
-from jink.training import plotting, published, rows
+from jink.training import bench_jobs, plotting, published, rows
 from jink.training.cli import main
 from jink.training.doubts import nis_verdict, outlier_hint
 from jink.training.options import parse_numbers, parse_sigma
@@ -160,7 +159,7 @@ def test_help_has_examples(command, capsys):
         (("track", "{radar}", "--out", "no/where/e.csv"), "must lie in an existing folder"),
         (("track", "{radar}", "--plot", "e.gif"), r"must end in \.png"),
         (("track", "{radar}", "--show", "b"), "--show: value must name a track; got 'b'"),
-        (("bench", "--suite", "speed"), "--suite: name must be one of published, recorded"),
+        (("bench", "--suite", "speed"), "--suite: name must be one of switch, surge"),
         (("bench", "--suite", "recorded"), "--data: folder must be given"),
         (("bench", "--suite", "recorded", "--data", "nowhere"), "folder must exist"),
         (("bench", "--suite", "published", "--runs", "0"), "--runs: value must be >= 1"),
@@ -350,7 +349,9 @@ def test_published_rows_carry_their_provenance(few_cells, tmp_path, capsys, monk
     assert set(table["runs"]) == {5} and set(table["seed"]) == {3}
     assert np.all(table["published_low"] < table["published"]) and np.all(table["steps"] == 5 * 200)
     assert json.loads(table["versions"][0])["numba"] and json.loads(table["machine"][0])["cores"] > 0
-    assert table["command"][0] == "jink bench --out rows.parquet"
+    assert table["command"][0] == (
+        "jink bench --suite published --scenario n4-cv-ca-v0 --estimator kf-cv --runs 5 --seed 3"
+    )
     assert str(tmp_path) not in table.to_csv()
     rows.provenance.cache_clear()
 
@@ -435,11 +436,11 @@ def test_rows_are_of_these_sources_and_these_files(radar, tmp_path, monkeypatch)
     assert {"rows.py", "kalman.py", "recorded.py"} <= {path.name for path in hashed}
     rows.commit.cache_clear()
 
-    request = bench_module.BenchRequest("recorded", data=radar.parent)
-    first, same = ([job.cell for job in bench_module._recorded(request)] for _ in range(2))
+    request = bench_jobs.BenchRequest("recorded", data=radar.parent)
+    first, same = ([job.cell for job in bench_jobs.jobs_of("recorded", request)] for _ in range(2))
     assert first == same and all(cell.data for cell in first if cell.scenario == "radar.csv")
     radar.write_text(radar.read_text().replace("\na,0", "\na,0.5", 1))
-    changed = [job.cell for job in bench_module._recorded(request)]
+    changed = [job.cell for job in bench_jobs.jobs_of("recorded", request)]
     pairs = [(a, b) for a, b in zip(first, changed, strict=True) if a.scenario == "radar.csv"]
     assert pairs and all(a != b and a._replace(data="") == b._replace(data="") for a, b in pairs)
 
@@ -480,7 +481,7 @@ def test_the_recorded_suite_reads_a_folder(radar, tmp_path, capsys, monkeypatch)
     frame = pd.read_csv(folder / "radar.csv")
     frame[["t", "x", "y"]].to_csv(folder / "plain.csv", index=False)
     (folder / "broken.csv").write_text("t,x,y\n0,1,2\n1,two,3\n")
-    monkeypatch.setattr(bench_module, "ESTIMATORS", ("raw", "kf-cv"))
+    monkeypatch.setattr(bench_jobs, "ESTIMATORS", ("raw", "kf-cv"))
     out = tmp_path / "rows.parquet"
     assert run("bench", "--suite", "recorded", "--data", folder, "--out", out) == 1
     text = capsys.readouterr().out

@@ -23,6 +23,7 @@ SUITES = {
     "published": "scenarios with published results, ours beside them",
     "recorded": "recorded tracks in a folder: errors where there is truth, predictions elsewhere",
     "multi-target": "scenes of many targets in clutter: GOSPA, misses, false tracks, identity switches, time",
+    "all": "all of these; recorded where --data is given",
 }
 
 

@@ -233,35 +233,45 @@ def list_command() -> None:
     print_catalogue(screen())
 
 
-_BENCH_HELP = """Compare estimators and print a table; rows are written as they finish.
+_BENCH_HELP = """Compare estimators and print tables; rows are written as they finish.
 
-Rows already in --out are not computed again, so an interrupted run goes on where it stopped.
+Without --suite: a first look at the ladder from raw measurement to bound. Rows already in --out are not computed
+again, so an interrupted run goes on where it stopped. Every row holds the command that makes exactly its cell.
 
 Examples:
 
-  jink bench --suite published --quick
+  jink bench
 
-  jink bench --suite published --runs 200 --out rows.parquet
+  jink bench --suite surge --out rows.parquet --workers 2
+
+  jink bench --suite joint --scenario joint-v0 --estimator imm --estimator mine.py:make
 
   jink bench --suite recorded --data DIR --out rows.parquet
 
-  jink bench --suite multi-target --quick
+  jink bench --suite all --out rows.parquet --backend dask --address tcp://head:8786 --workers 64
 """
 
 
 @app.command("bench", help=_BENCH_HELP)
 def bench_command(
-    suite: Annotated[str, typer.Option(help="published, recorded or multi-target.")],
+    suite: Annotated[str | None, typer.Option(help="Name from 'jink list', or all; default a first look.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A first answer within a minute.")] = False,
     out: Annotated[Path | None, typer.Option(help="Rows to this .parquet; appended.")] = None,
     data: Annotated[Path | None, typer.Option(help="Folder of recorded tracks.")] = None,
-    runs: Annotated[int | None, typer.Option(help="Monte-Carlo runs; default those of the source.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of truth and noise; default 1.")] = None,
+    runs: Annotated[int | None, typer.Option(help="Monte-Carlo runs; default the suite's own number.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the first run; default 1, of the ladder 100000.")] = None,
     scenario: Annotated[list[str] | None, typer.Option(help="Only this one; may be repeated.")] = None,
-    estimator: Annotated[list[str] | None, typer.Option(help="Only this one; may be repeated.")] = None,
+    estimator: Annotated[
+        list[str] | None, typer.Option(help="Only this one, or FILE.py:NAME of your own; may be repeated.")
+    ] = None,
+    backend: Annotated[str, typer.Option(help="local, dask or ray.")] = "local",
+    workers: Annotated[int, typer.Option(help="Processes, or tasks at a time on a cluster.")] = 1,
+    address: Annotated[str, typer.Option(help="Of a Dask scheduler or Ray head; default a new one here.")] = "",
 ) -> int:
     """Compare estimators."""
-    from jink.training.bench import BenchRequest, bench
+    from jink.training.bench import bench
+    from jink.training.bench_request import BenchRequest
+    from jink.training.ladder.backends import Place
 
     request = BenchRequest(
         suite=suite,
@@ -270,8 +280,9 @@ def bench_command(
         data=data,
         runs=runs,
         seed=seed,
-        scenarios=tuple(scenario or ()),
-        estimators=tuple(estimator or ()),
+        scenarios=tuple(dict.fromkeys(scenario or ())),
+        estimators=tuple(dict.fromkeys(estimator or ())),
+        place=Place(backend, workers, address),
     )
     return bench(request, screen())
 

@@ -10,8 +10,8 @@ import json
 import math
 import os
 import platform
+import shlex
 import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -140,7 +140,6 @@ def make_rows(
     steps: int = 0,
     seconds: float = 0.0,
     started: str = "",
-    command: str = "",
     more: Sequence[Mapping[str, Any]] = (),
 ) -> pd.DataFrame:
     """Rows of one cell.
@@ -155,7 +154,6 @@ def make_rows(
         steps: track-steps computed.
         seconds: wall time.
         started: from `now`.
-        command: makes exactly this cell; empty: the command line of this process.
         more: columns of further rows (``kind``, ``metric``, ``unit``, ``at``, ``samples``, ...).
 
     Returns:
@@ -169,6 +167,7 @@ def make_rows(
     common = {
         **provenance(),
         **cell._asdict(),
+        "command": command_of(cell),
         "status": status,
         "reason": reason,
         "parameters": json.dumps(parameters or {}, sort_keys=True, default=str),
@@ -180,8 +179,6 @@ def make_rows(
         "at": None,
         "samples": None,
     }
-    if command:
-        common["command"] = command
     none = {"value": math.nan, "low": math.nan, "high": math.nan, "interval": "", "published": math.nan}
     none |= {"published_low": math.nan, "published_high": math.nan, "unit": ""}
     nothing = {} if more else {"": Measured(math.nan, "", interval="no number")}
@@ -201,7 +198,7 @@ def now() -> str:
 
 @functools.cache
 def provenance() -> dict[str, str]:
-    """Command, commit, versions and machine; no host names, users or folders."""
+    """Commit, versions and machine; no host names, users or folders."""
     versions = {"python": platform.python_version()}
     for name in ("jink", "numba", "numpy", "pandas", "scipy"):
         try:
@@ -210,17 +207,19 @@ def provenance() -> dict[str, str]:
             versions[name] = "not installed"
     machine = {"cpu": _cpu(), "cores": os.cpu_count() or 0, "system": platform.system(), "bits": platform.machine()}
     return {
-        "command": _command(sys.argv[1:]),
         "commit": commit(),
         "versions": json.dumps(versions, sort_keys=True),
         "machine": json.dumps(machine, sort_keys=True),
     }
 
 
-def _command(arguments: Sequence[str]) -> str:
-    """The command line with folders cut off."""
-    short = [Path(a).name or a if os.sep in a else a for a in arguments]
-    return " ".join(["jink", *short])
+def command_of(cell: Cell) -> str:
+    """The command that makes exactly this cell."""
+    words = ["jink", "bench", "--suite", cell.suite]
+    words += ["--data", "DIR"] if cell.suite == "recorded" else []
+    words += ["--scenario", cell.scenario, "--estimator", cell.estimator]
+    words += [] if cell.suite == "recorded" else ["--runs", str(cell.runs), "--seed", str(cell.seed)]
+    return shlex.join(words)
 
 
 @functools.cache

@@ -12,7 +12,7 @@ from jink.training.intervals import Measured, Score, Statistic, measure, resampl
 from jink.training.ladder.scores import METRICS
 from jink.training.weighted import interquartile_mean, mean, root_mean
 
-__all__ = ["BASE", "Comparison", "Runs", "compare", "pool_runs"]
+__all__ = ["BASE", "Comparison", "Overall", "Runs", "compare", "compare_suites", "pool_runs"]
 
 Floats = NDArray[np.float64]
 Key = tuple[str, str, str]
@@ -90,7 +90,7 @@ def compare(rows: pd.DataFrame, metric: str = "position_rmse", base: str = BASE,
         paired: dict[str, Measured] = {}
         both = np.zeros(0, dtype=np.int64) if other is None else np.intersect1d(runs.seeds, other.seeds)
         if other is not None and len(both) and estimator != base:
-            mine, theirs = (_statistic(metric, one.values[np.searchsorted(one.seeds, both)]) for one in (runs, other))
+            mine, theirs = _at(metric, runs, both), _at(metric, other, both)
             scores = {
                 "difference": Score(_minus(mine, theirs), METRICS[metric].unit),
                 "ratio": Score(_over(mine, theirs), ""),
@@ -115,9 +115,54 @@ def _statistic(metric: str, values: Floats) -> Statistic:
     return root_mean(values**2) if METRICS[metric].statistic == "rms" else mean(values)
 
 
+def _at(metric: str, runs: Runs, seeds: NDArray[np.int64]) -> Statistic:
+    """The statistic of the runs of these seeds."""
+    return _statistic(metric, runs.values[np.searchsorted(runs.seeds, seeds)])
+
+
 def _minus(one: Statistic, other: Statistic) -> Statistic:
     return lambda weights: one(weights) - other(weights)
 
 
 def _over(one: Statistic, other: Statistic) -> Statistic:
     return lambda weights: one(weights) / other(weights)
+
+
+class Overall(NamedTuple):
+    """One estimator on a whole suite: geometric mean over its scenarios of the ratio to the base, and where it failed.
+
+    scenarios: how many are in the ratio; missing: those that the base has and the estimator has not.
+    """
+
+    suite: str
+    estimator: str
+    ratio: Measured
+    scenarios: int
+    missing: tuple[str, ...]
+
+
+def compare_suites(rows: pd.DataFrame, metric: str = "position_rmse", base: str = BASE, seed: int = 0) -> list[Overall]:
+    """Every estimator of every suite against the base; arguments as `compare`, intervals as there."""
+    pooled = pool_runs(rows, metric)
+    members: dict[tuple[str, str], dict[str, Runs]] = {}
+    for (suite, scenario, estimator), runs in pooled.items():
+        members.setdefault((suite, estimator), {})[scenario] = runs
+    found = []
+    for (suite, estimator), mine in members.items():
+        theirs = members.get((suite, base), {})
+        shared = [name for name in theirs if name in mine]
+        common = None
+        for name in shared:
+            both = np.intersect1d(mine[name].seeds, theirs[name].seeds)
+            common = both if common is None else np.intersect1d(common, both)
+        if common is None or not len(common):
+            continue
+        ratios = [_over(_at(metric, mine[name], common), _at(metric, theirs[name], common)) for name in shared]
+        number = measure({"ratio": Score(_geometric(ratios), "")}, resample_runs(len(common), seed))["ratio"]
+        missing = tuple(name for name in theirs if name not in mine)
+        found.append(Overall(suite, estimator, number, len(shared), missing))
+    return found
+
+
+def _geometric(ratios: list[Statistic]) -> Statistic:
+    return lambda weights: np.exp(np.mean([np.log(ratio(weights)) for ratio in ratios], axis=0))

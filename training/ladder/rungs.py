@@ -21,10 +21,12 @@ from jink.estimators.motions import constant_velocity
 from jink.estimators.oracles import oracle
 from jink.estimators.recipes import ADAPTATIONS, RECIPES, Scales, intent_imm, kf_cv, robust_imm, student_t_imm
 from jink.estimators.sensor import Sensor
+from jink.estimators.status import STARTING
 from jink.estimators.treatments import Adaptive
 from jink.training.ladder.scores import HORIZON_S, Readings
 from jink.training.ladder.settings import Settings
 from jink.training.ladder.typical import typical_scales
+from jink.training.loading import is_spec, make_named
 
 __all__ = ["FACTORS", "LADDER", "Follower", "NoSuchRung", "make_follower"]
 
@@ -104,6 +106,8 @@ def make_follower(name: str, scenario: Scenario, settings: Settings) -> Follower
         motion = constant_velocity(scenario.axes, acceleration_density=scales.acceleration**2)
         bank = Bank((Mode("cv", motion, _distrust(name, settings)),), scenario.sensor, speed=scales.speed)
         return _following(BankEstimator(bank, name=name, threads=1), scenario, settings, told)
+    if is_spec(name):
+        return _outside(name, scenario, scales, told)
     if name not in RECIPES:
         raise ValueError(f"--estimator: name must be one of {', '.join(LADDER)}; got '{name}'. See jink list.")
     if name == "student-t-imm":
@@ -189,6 +193,27 @@ def _surge(estimator: Any, found: Estimates) -> Floats | None:
         return np.asarray(estimator.surge_probability(found))
     except (AttributeError, ValueError):  # it has no noise levels
         return None
+
+
+def _outside(spec: str, scenario: Scenario, scales: Scales, told: dict[str, Any]) -> Follower:
+    """A third party's: told the typical scales; starts from the measurements unless it is made of our bank."""
+    estimator = make_named(spec, scenario.sensor, **vars(scales))
+    if isinstance(estimator, BankEstimator):
+        estimator.threads = 1
+        return _following(estimator, scenario, Settings(), told)
+
+    def estimate(episodes: Episodes) -> Estimates:
+        found = estimator.run(episodes.measurements, episodes.times, None, episodes.sensor_states)
+        A = scenario.axes
+        # Before its first estimate it knows what everybody is told at the start.
+        late = (np.asarray(found.status) == STARTING)[..., None] & ~np.isfinite(found.position)
+        place = np.where(late, episodes.prior_mean[:, None, :A], found.position)
+        return Estimates(*found._replace(position=place))
+
+    def read(episodes: Episodes, found: Estimates) -> Readings:
+        return Readings(found.position + HORIZON_S * found.velocity)
+
+    return Follower(estimate, read, told)
 
 
 def _oracle(scenario: Scenario, scales: Scales, told: Mapping[str, Any]) -> Follower:
