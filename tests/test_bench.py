@@ -397,6 +397,44 @@ def test_refusals_are_one_sentence(capsys, arguments, sentence):
     assert re.search(sentence, refused(capsys, *arguments))
 
 
+# Pages made from committed rows.
+
+
+@pytest.fixture(scope="module")
+def pages():
+    """The script that writes the tables."""
+    sys.path.insert(0, str(ROOT / "benchmarks"))
+    try:
+        import update_bench_pages
+    finally:
+        sys.path.remove(str(ROOT / "benchmarks"))
+    return update_bench_pages
+
+
+@pytest.mark.skipif(not SETTINGS_FILE.exists(), reason="rows come with the settings")
+def test_pages_show_the_committed_rows(pages):
+    for (page, marker), block in pages.blocks(pages.committed()).items():
+        text = (ROOT / page).read_text(encoding="utf-8")
+        wanted = f"<!-- {marker}:start -->\n{block}<!-- {marker}:end -->"
+        assert wanted in text, f"{page}, {marker}: run python benchmarks/update_bench_pages.py"
+        assert block.count("\n|") >= 5 and "nan" not in block
+
+
+@pytest.mark.skipif(not SETTINGS_FILE.exists(), reason="rows come with the settings")
+@pytest.mark.parametrize("suite", SIMULATED)
+def test_committed_rows_are_whole(suite, pages):
+    path = pages.ROWS / f"{suite.replace('-', '_')}.parquet"
+    assert path.stat().st_size < 600_000
+    rows = read_rows(path)
+    assert set(rows["suite"]) == {suite} and "error" not in set(rows["status"])
+    numbers = rows[rows["kind"] == "number"]
+    assert not numbers.duplicated(["scenario", "estimator", "metric", "seed"]).any()
+    assert set(numbers["scenario"]) == set(SUITES[suite]) and set(LADDER) == set(numbers["estimator"])
+    assert rows["command"].str.startswith(f"jink bench --suite {suite} --scenario ").all()
+    assert (rows["seed"] >= EVALUATION_SEED).all()
+    assert not re.search(r"(?<![\w.])/\w+/|\\\\Users", rows.drop(columns=["at", "samples"]).to_csv())
+
+
 # Files.
 
 

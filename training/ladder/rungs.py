@@ -22,11 +22,12 @@ from jink.estimators.oracles import oracle
 from jink.estimators.recipes import ADAPTATIONS, RECIPES, Scales, intent_imm, kf_cv, robust_imm, student_t_imm
 from jink.estimators.sensor import Sensor
 from jink.estimators.status import STARTING
-from jink.estimators.treatments import Adaptive
+from jink.estimators.treatments import Adaptive, Uncertain
 from jink.training.ladder.scores import HORIZON_S, Readings
 from jink.training.ladder.settings import Settings
 from jink.training.ladder.typical import typical_scales
-from jink.training.loading import is_spec, make_named
+from jink.training.loading import is_spec
+from jink.training.third_party import load_estimator
 
 __all__ = ["FACTORS", "LADDER", "Follower", "NoSuchRung", "make_follower"]
 
@@ -60,6 +61,7 @@ _SAME = {
     "weave": ("weave",),
 }
 """True intent -> what banks call it; a jink is none of them."""
+_DESCRIBED = ("straight", "accelerate", "turn", "orbit")
 
 
 class NoSuchRung(Exception):  # noqa: N818 - it ends no computation
@@ -107,14 +109,15 @@ def make_follower(name: str, scenario: Scenario, settings: Settings) -> Follower
         bank = Bank((Mode("cv", motion, _distrust(name, settings)),), scenario.sensor, speed=scales.speed)
         return _following(BankEstimator(bank, name=name, threads=1), scenario, settings, told)
     if is_spec(name):
-        return _outside(name, scenario, scales, told)
+        return _outside(name, scenario, told)
     if name not in RECIPES:
         raise ValueError(f"--estimator: name must be one of {', '.join(LADDER)}; got '{name}'. See jink list.")
     if name == "student-t-imm":
         bank = student_t_imm(scenario.sensor, scales, dof=settings.dof)
     elif name == "robust-imm":
         bank = robust_imm(scenario.sensor, scales)
-        bank = bank.with_(modes=tuple(replace(m, treatment=_distrust(m.name, settings)) for m in bank.modes))
+        known = _known_error(scenario)
+        bank = bank.with_(modes=tuple(replace(m, treatment=(*known, _distrust(m.name, settings))) for m in bank.modes))
     else:
         bank = RECIPES[name](scenario.sensor, scales)
     if name in ADAPTATIONS:
@@ -138,6 +141,12 @@ def _distrust(factor: str, settings: Settings) -> Adaptive:
     usual = Adaptive(factor)
     tails = tuple(1.0 - (1.0 - p) * settings.tail for p in usual.rule.probabilities)
     return usual if settings.tail == 1.0 else replace(usual, probabilities=tails)
+
+
+def _known_error(scenario: Scenario) -> tuple[Uncertain, ...]:
+    """The bound of a plant's error, which is what the robust estimator is made for; its size at a step is not told."""
+    error = getattr(scenario.motion, "error", None)
+    return () if error is None else (Uncertain(error.gain, error.of_state),)
 
 
 def _learned(name: str, scenario: Scenario) -> tuple[Bank, str]:
@@ -195,33 +204,34 @@ def _surge(estimator: Any, found: Estimates) -> Floats | None:
         return None
 
 
-def _outside(spec: str, scenario: Scenario, scales: Scales, told: dict[str, Any]) -> Follower:
-    """A third party's: told the typical scales; starts from the measurements unless it is made of our bank."""
-    estimator = make_named(spec, scenario.sensor, **vars(scales))
+def _outside(spec: str, scenario: Scenario, told: dict[str, Any]) -> Follower:
+    """A third party's: told the typical scales and, where it asks for it, the prior."""
+    estimator = load_estimator(spec, scenario)
     if isinstance(estimator, BankEstimator):
         estimator.threads = 1
         return _following(estimator, scenario, Settings(), told)
+    follower = _following(estimator, scenario, Settings(), told)
 
     def estimate(episodes: Episodes) -> Estimates:
-        found = estimator.run(episodes.measurements, episodes.times, None, episodes.sensor_states)
+        found = follower.estimate(episodes)
         A = scenario.axes
         # Before its first estimate it knows what everybody is told at the start.
         late = (np.asarray(found.status) == STARTING)[..., None] & ~np.isfinite(found.position)
-        place = np.where(late, episodes.prior_mean[:, None, :A], found.position)
-        return Estimates(*found._replace(position=place))
+        return found._replace(position=np.where(late, episodes.prior_mean[:, None, :A], found.position))
 
-    def read(episodes: Episodes, found: Estimates) -> Readings:
-        return Readings(found.position + HORIZON_S * found.velocity)
-
-    return Follower(estimate, read, told)
+    return follower._replace(estimate=estimate)
 
 
 def _oracle(scenario: Scenario, scales: Scales, told: Mapping[str, Any]) -> Follower:
-    """Told the noise of every sample, and the intent where the target has several: `jink.estimators.oracles`."""
+    """Told the noise of every sample, and the intent where a motion of the bank describes it.
+
+    A weave or a jink is not told: the bank's own swing fits them worse than what it mixes when it is not told.
+    """
     several = len(scenario.intents) > 1
     bank = (intent_imm if several else kf_cv)(scenario.sensor, scales)
     known = [mode.purpose for mode in bank.modes]
-    column = np.array([known.index(name) if name in known else -1 for name in scenario.intents])
+    told_as = {name: next((k for k, mine in enumerate(known) if mine in _SAME[name]), -1) for name in _DESCRIBED}
+    column = np.array([told_as.get(name, -1) for name in scenario.intents])
 
     def estimate(episodes: Episodes) -> Estimates:
         intents = column[episodes.truth.intent] if several else None

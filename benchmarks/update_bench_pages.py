@@ -1,0 +1,125 @@
+"""Write the tables of the benchmark into README.md and docs/results.md, from the committed rows.
+
+    python benchmarks/update_bench_pages.py
+
+The rows come from `jink bench`, shortened by commit_rows.py. A test compares the pages with the rows.
+"""
+
+import math
+from pathlib import Path
+
+import pandas as pd
+from update_readme import number, replace_block
+
+from jink.training.bench_jobs import SIMULATED
+from jink.training.ladder.pairing import compare, compare_suites
+from jink.training.ladder.rungs import FACTORS
+from jink.training.rows import read_rows
+
+ROOT = Path(__file__).resolve().parent.parent
+ROWS = ROOT / "docs" / "results"
+SHOWN = (
+    ("surge-v0", "Noise surges, 4 to 10 000 x"),
+    ("joint-v0", "A drone that manoeuvres in such surges"),
+    ("switch-v0", "The same drone without surges"),
+    ("heavy-tail-t3-v0", "Student-t noise, 3 degrees of freedom"),
+    ("model-error-surge-v0", "Surges and an error in the model"),
+)
+BEST = "best factor*"
+COLUMNS = ("kf-cv", BEST, "imm", "robust-imm", "joint-imm", "agent", "oracle")
+WIDE = ("raw", "kf-cv", "mahalanobis", "imm", "student-t-imm", "robust-imm", "sage-husa", "intent-imm", "joint-imm",
+        "agent", "oracle", "bound")  # fmt: skip
+MEANS = ("nees_inside", "lost", "diverged", "microseconds_per_step")
+
+
+def committed():
+    """The committed rows of all simulated suites."""
+    files = [ROWS / f"{suite.replace('-', '_')}.parquet" for suite in SIMULATED]
+    return pd.concat([read_rows(file) for file in files if file.exists()], ignore_index=True)
+
+
+def with_interval(value, digits=3):
+    if value is None:
+        return "-"
+    return f"{number(value.value, digits)} [{number(value.low, digits)}, {number(value.high, digits)}]"
+
+
+def table(heading, rows):
+    """A table in Markdown."""
+    return ["| " + " | ".join(row) + " |" for row in (heading, ["---"] * len(heading), *rows)]
+
+
+def shown_share(value):
+    return "-" if math.isnan(value) else f"{100 * value:.3g} %"
+
+
+def readme_block(rows):
+    """Five rows: root mean square position errors with intervals."""
+    found = {(each.scenario, each.estimator): each.value for each in compare(rows)}
+    for scenario, _ in SHOWN:
+        known = [found[scenario, name] for name in FACTORS if (scenario, name) in found]
+        found[scenario, BEST] = min(known, key=lambda each: each.value, default=None)
+    columns = [name for name in COLUMNS if any(key[1] == name for key in found)]
+    runs = int(rows.loc[rows["metric"] == "position_rmse", "runs"].max())
+    lines = [[title, *(with_interval(found.get((scenario, name))) for name in columns)] for scenario, title in SHOWN]
+    text = table(["RMS position, m [95 %]", *(name if name == BEST else f"`{name}`" for name in columns)], lines)
+    factors = ", ".join(f"`{name}`" for name in FACTORS)
+    text += [
+        "",
+        f"{runs} runs each, the same for everybody; all but the agent tuned by the same search. *Of {factors},",
+        "chosen after the fact. `jink bench --suite all` makes these and",
+        "[the whole ladder](docs/results.md#the-benchmark).",
+    ]
+    return "\n".join(text) + "\n"
+
+
+def suite_block(rows, suite):
+    """The ladder of a suite, then its scenarios."""
+    mine = rows[rows["suite"] == suite]
+    means = mine[mine["metric"].isin(MEANS)].groupby(["estimator", "metric"])["value"].mean()
+    found = compare(mine)
+    first = found[0].scenario
+    in_first = {each.estimator: each for each in found if each.scenario == first}
+    lines = []
+    for each in compare_suites(mine):
+        one = in_first.get(each.estimator)
+        nees, lost, diverged, cost = (means.get((each.estimator, name), math.nan) for name in MEANS)
+        lines.append(
+            [
+                f"`{each.estimator}`",
+                with_interval(each.ratio) + (f" ({each.scenarios} scenarios)" if each.missing else ""),
+                with_interval(one and one.value),
+                with_interval(one and one.iqm),
+                with_interval(one and one.difference),
+                *map(shown_share, (nees, lost, diverged)),
+                "-" if math.isnan(cost) else f"{cost:.3g}",
+            ]
+        )
+    heading = [suite, "over `imm`", f"{first.removesuffix('-v0')}: RMS m", "IQM m", "minus `imm` m"]
+    text = table([*heading, "NEES in band", "lost", "diverged", "us/step"], lines)
+    values = {(each.scenario, each.estimator): each.value for each in found}
+    shown = [name for name in WIDE if any(key[1] == name for key in values)]
+    lines = []
+    for scenario in dict.fromkeys(each.scenario for each in found):
+        numbers = [values.get((scenario, name)) for name in shown]
+        cells = ["-" if n is None else f"{number(n.value, 3)} ±{(n.high - n.low) / 2:.2g}" for n in numbers]
+        lines.append([scenario.removesuffix("-v0"), *cells])
+    text += ["", *table(["RMS position, m", *(f"`{name}`" for name in shown)], lines)]
+    return "\n".join(text) + "\n"
+
+
+def blocks(rows):
+    """Page and marker -> text."""
+    found = {("README.md", "bench"): readme_block(rows)}
+    found |= {("docs/results.md", f"bench-{suite}"): suite_block(rows, suite) for suite in SIMULATED}
+    return found
+
+
+def main():
+    for (page, marker), block in blocks(committed()).items():
+        path = ROOT / page
+        path.write_text(replace_block(path.read_text(encoding="utf-8"), marker, block), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
