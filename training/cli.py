@@ -287,6 +287,31 @@ def bench_command(
     return bench(request, screen())
 
 
+_REPORT_HELP = """Make one HTML page from rows of 'jink bench': leaderboards, ladders, curves, playback, failures.
+
+The page needs no network and nothing beside it; it is made from the rows alone.
+
+Examples:
+
+  jink report rows.parquet --out report.html
+
+  jink report surge.parquet joint.parquet --out report.html --title "Surges and switches"
+"""
+
+
+@app.command("report", help=_REPORT_HELP)
+def report_command(
+    files: Annotated[list[Path], typer.Argument(help="Parquet files of jink bench.", metavar="ROWS...")],
+    out: Annotated[Path, typer.Option(help="To this .html.")] = Path("report.html"),
+    title: Annotated[str, typer.Option(help="Heading of the page.")] = "Jink benchmark",
+) -> None:
+    """Make a page from rows."""
+    from jink.training.reporting import report
+
+    rows = report(files, out, title)
+    screen().print(f"wrote {out} from {rows} rows", markup=False)
+
+
 _PLAY_HELP = """Watch an episode of an environment in a window, or write it to a file.
 
 Without a display, or with --out, the episode goes to a file: .mp4 or .gif (all frames) or .png (the last).
