@@ -215,6 +215,32 @@ def test_the_command_makes_the_page(tmp_path, capsys):
     assert "wrote" in capsys.readouterr().out
 
 
+def test_bench_makes_the_page_of_its_rows(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    few = ["--suite", "surge", "--scenario", "surge-25-bursts-v0", "--estimator", "kf-cv", "--estimator", "raw"]
+    assert main(["bench", *few, "--runs", "3", "--out", "rows.parquet", "--report", "r.html"]) == 0
+    assert "wrote r.html" in capsys.readouterr().out
+    page = Path("r.html").read_text(encoding="utf-8")
+    value = read_rows(Path("rows.parquet")).query("estimator == 'kf-cv' and metric == 'position_rmse'")["value"].iloc[0]
+    assert digits(value) in page and "surge-25-bursts-v0" in page
+    assert main(["bench", *few, "--report", "r.pdf"]) == 2
+    assert "--report: file must end in .html" in capsys.readouterr().err
+
+
+def test_suites_are_summed_up(rows):
+    from jink.training.ladder.pairing import compare_suites
+    from jink.training.report.overview import overview
+
+    again = rows[rows["suite"] == "joint"].assign(scenario="another-v0")
+    both = pd.concat([rows[rows["suite"] == "joint"], again], ignore_index=True)
+    text = re.sub("<[^>]*>", " ", overview(both, collect(both)[0]))
+    for one in compare_suites(both):
+        if one.estimator != "imm":
+            low, high = digits(one.ratio.low), digits(one.ratio.high)
+            assert re.search(rf"{re.escape(one.estimator)} +{digits(one.ratio.value)} +\[{low}, {high}\]", text)
+    assert overview(rows, collect(rows)[0]) == "" or "Suite joint" not in overview(rows, collect(rows)[0])
+
+
 @pytest.mark.parametrize(
     "arguments, said",
     [

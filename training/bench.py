@@ -55,6 +55,11 @@ def bench(request: BenchRequest, console: Console) -> int:
         console.print(f"{len(jobs) - len(todo)} of {len(jobs)} cells were already in {out.name}", markup=False)
     if request.out is not None:
         console.print(f"wrote {request.out}", markup=False)
+    if request.report is not None:
+        from jink.training.report.page import write_report
+
+        write_report(rows, request.report, source=request.out.name if request.out else "")
+        console.print(f"wrote {request.report}", markup=False)
     if quick:
         console.print("a first look: jink bench --suite all --out rows.parquet runs everything", style="dim")
     return int((rows["status"] == "error").any())

@@ -30,6 +30,7 @@ class BenchRequest:
     scenarios: tuple[str, ...] = ()
     estimators: tuple[str, ...] = ()
     place: Place = field(default_factory=Place)
+    report: Path | None = None
 
     @property
     def suites(self) -> tuple[str, ...]:
@@ -79,3 +80,4 @@ def check_request(request: BenchRequest) -> None:
                 f"got {given[option]}. Leave it out, or name a suite with --suite."
             )
     check_writable(request.out, "--out", (".parquet",))
+    check_writable(request.report, "--report", (".html", ".htm"))

@@ -242,7 +242,7 @@ Examples:
 
   jink bench
 
-  jink bench --suite surge --out rows.parquet --workers 2
+  jink bench --suite surge --out rows.parquet --workers 2 --report report.html
 
   jink bench --suite joint --scenario joint-v0 --estimator imm --estimator mine.py:make
 
@@ -267,6 +267,7 @@ def bench_command(
     backend: Annotated[str, typer.Option(help="local, dask or ray.")] = "local",
     workers: Annotated[int, typer.Option(help="Processes, or tasks at a time on a cluster.")] = 1,
     address: Annotated[str, typer.Option(help="Of a Dask scheduler or Ray head; default a new one here.")] = "",
+    report: Annotated[Path | None, typer.Option(help="HTML page of these rows to this .html.")] = None,
 ) -> int:
     """Compare estimators."""
     from jink.training.bench import bench
@@ -283,6 +284,7 @@ def bench_command(
         scenarios=tuple(dict.fromkeys(scenario or ())),
         estimators=tuple(dict.fromkeys(estimator or ())),
         place=Place(backend, workers, address),
+        report=report,
     )
     return bench(request, screen())
 

@@ -14,6 +14,7 @@ import pandas as pd
 from plotly.offline import get_plotlyjs
 
 from jink.training.ladder.scores import METRICS, Metric
+from jink.training.report.overview import overview
 from jink.training.report.plots import plots
 from jink.training.report.scenes import Scene, collect
 from jink.training.report.sections import bar, header, section
@@ -60,6 +61,7 @@ def make_page(rows: pd.DataFrame, title: str = "Jink benchmark", source: str = "
         f'<body><a class="skip" href="#main">To the results</a>{header(rows, scenes, failures, title, source)}',
         bar(scenes, first),
         '<main id="main">',
+        overview(rows, scenes),
         "".join(section(scene, index) for index, scene in enumerate(scenes)),
         plots(),
         failed(failures),
