@@ -385,6 +385,14 @@ def test_a_third_party_takes_part(tmp_path, capsys):
         (("--suite", "surge", "--workers", "0"), "--workers: value must be >= 1"),
         (("--suite", "surge", "--backend", "slurm"), "--backend: name must be one of local, dask, ray"),
         (("--suite", "surge", "--address", "tcp://x:1"), "--address: option must come with --backend dask or ray"),
+        (
+            ("--suite", "surge", "--backend", "dask", "--address", "tcp://127.0.0.1:1"),
+            "a dask cluster must answer|dask must be installed",
+        ),
+        (
+            ("--suite", "surge", "--backend", "ray", "--address", "127.0.0.1:1"),
+            "a ray cluster must answer|ray must be installed",
+        ),
         (("--suite", "surge", "--data", "."), "--data: option must be left out of the suite surge"),
         (("--suite", "all", "--scenario", "surge-v0"), "--scenario: option must be left out of the suite all"),
         (("--scenario", "surge-v0"), "--scenario: option must be left out of the suite ladder"),

@@ -8,12 +8,15 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import logging
+import re
+import socket
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 __all__ = ["BACKENDS", "Place", "check_place", "compute_all"]
 
 BACKENDS = ("local", "dask", "ray")
+_ANSWER_S = 10.0
 TRIES = 3
 """How often a cell may take its worker along before it is given up."""
 
@@ -76,6 +79,7 @@ def compute_all(
         for index, job in enumerate(jobs):
             yield index, compute(job)
         return
+    _must_answer(place)
     left = dict(enumerate(jobs))
     with _engine(place) as (run, died):
         for _ in range(TRIES - 1):
@@ -88,6 +92,20 @@ def compute_all(
             return
         for index, job in left.items():  # one at a time: whoever ends a worker now is known
             yield index, _alone(run, died, compute, index, job, give_up)
+
+
+def _must_answer(place: Place) -> None:
+    """An address that nobody listens at: the engines would try for minutes."""
+    found = re.fullmatch(r"(?:\w+://)?\[?([\w.:-]+?)\]?:(\d+)", place.address)
+    if found is None:
+        return  # a name that the engine resolves itself, such as auto
+    try:
+        socket.create_connection((found[1], int(found[2])), timeout=_ANSWER_S).close()
+    except (OSError, OverflowError) as error:
+        raise ValueError(
+            f"--address: a {place.backend} cluster must answer; got {place.address} ({error}). "
+            "Start one, or leave it out."
+        ) from error
 
 
 Run = Callable[[Callable[[Any], Any], dict[int, Any]], Iterator[tuple[int, Any]]]
@@ -152,13 +170,10 @@ def _engine(place: Place) -> Iterator[tuple[Run, tuple[type[BaseException], ...]
 
 
 def _start_dask(place: Place, stack: contextlib.ExitStack) -> tuple[type[BaseException], ...]:
-    from distributed import Client as AnyClient
-    from distributed import LocalCluster as AnyCluster
-    from distributed.comm.core import CommClosedError
-    from distributed.scheduler import KilledWorker
+    from dask import distributed
 
-    Client: Any = AnyClient  # without types
-    LocalCluster: Any = AnyCluster
+    Client: Any = distributed.Client  # without types
+    LocalCluster: Any = distributed.LocalCluster
     try:
         if place.address:
             stack.enter_context(Client(place.address, timeout="20s"))
@@ -171,7 +186,7 @@ def _start_dask(place: Place, stack: contextlib.ExitStack) -> tuple[type[BaseExc
             f"--address: a Dask scheduler must answer; got {place.address or 'none'} "
             f"({' '.join(str(error).split()) or type(error).__name__}). Start dask scheduler, or leave it out."
         ) from error
-    return KilledWorker, CommClosedError
+    return (distributed.KilledWorker,)
 
 
 def _start_ray(place: Place) -> tuple[type[BaseException], ...]:
