@@ -1,10 +1,11 @@
-"""Write the tables of README.md and docs/recorded.md from the committed rows.
+"""Write the table and the figure of README.md and the tables of docs/recorded.md from the committed rows.
 
     python benchmarks/update_readme.py
 
 The rows come from `jink bench`; the commands stand in both pages. A test compares the pages with the rows.
 """
 
+import hashlib
 import json
 import re
 from pathlib import Path
@@ -14,14 +15,18 @@ import pandas as pd
 ROOT = Path(__file__).resolve().parent.parent
 ROWS = ROOT / "docs" / "results"
 ESTIMATORS = ("raw", "kf-cv", "imm", "intent-imm")
-SHOWN = (
-    ("Air traffic, two turns, m", "Kalman filter", "b2-atc-turns-v0", "kf-1", "position_rms"),
-    ("", "IMM, two noise levels", "b2-atc-turns-v0", "imm-cv-cv", "position_rms"),
-    ("", "IMM, straight and turns", "b2-atc-turns-v0", "imm-cv-ct", "position_rms"),
-    ("Acceleration that jumps, SI", "oracle: told the mode", "n1-jump-linear-v0", "oracle", "rmse"),
-    ("", "IMM", "n1-jump-linear-v0", "imm", "rmse"),
-)
-MIXING = ("mixing-study-v0", "position_rms")
+SCENES = ("switch-v0", "surge-v0", "joint-v0")
+"""Columns of the README's table and panels of its figure, where there are rows."""
+LINES = {
+    "kf-cv": "Kalman filter, constant velocity",
+    "imm": "IMM: straight, accelerate, turn",
+    "robust-imm": "IMM over adaptive factors",
+    "joint-imm": "intents x noise levels (`joint-imm`)",
+    "agent": "filter with an RL agent (`agent`)",
+    "oracle": "told intent and noise",
+}
+"""Rows of the table; the agent takes the place of `robust-imm` once there are rows of it."""
+PICTURE = ROOT / "docs" / "pictures" / "ladder.png"
 
 
 def latest(rows):
@@ -41,24 +46,120 @@ def with_interval(row, digits=4):
     return shown
 
 
+def ladder_rows():
+    """Rows of the suites that have some, as one table."""
+    files = [ROWS / f"{suite}.parquet" for suite in ("switch", "surge", "joint")]
+    return pd.concat([pd.read_parquet(file) for file in files if file.is_file()], ignore_index=True)
+
+
+def compared(rows):
+    """Scenario -> estimator -> `Comparison`, for the scenes that have rows."""
+    from jink.training.ladder.pairing import compare
+
+    found = {}
+    for one in compare(rows[rows["scenario"].isin(SCENES)]):
+        found.setdefault(one.scenario, {})[one.estimator] = one
+    return {scene: found[scene] for scene in SCENES if scene in found}
+
+
 def results_block(rows):
-    """The README's table: six lines of numbers and the command that makes them."""
-    found = latest(rows).set_index(["scenario", "estimator", "metric"])
-    lines = ["| scenario, root mean square error | estimator | published | Jink [95 %] |", "|---|---|---|---|"]
-    for scenario, estimator, *key in SHOWN:
-        row = found.loc[tuple(key)]
-        lines.append(f"| {scenario} | {estimator} | {row['published']:.4g} | {with_interval(row)} |")
-    jet, none = (found.loc[(MIXING[0], rule, MIXING[1])] for rule in ("jet", "none"))
-    lines.append(
-        f"| Unlike motions, m | `jet` interaction (`none`) | {number(jet['published'], 3)} "
-        f"({number(none['published'], 3)})* | {with_interval(jet, 3)} ({with_interval(none, 3)}) |"
-    )
+    """The README's table: five rows of numbers, the figure, and the commands that make both."""
+    found = compared(rows)
+    everywhere = [name for name in LINES if all(name in some for some in found.values())]
+    shown = [name for name in everywhere if not (name == "robust-imm" and "agent" in everywhere)]
+    lines = [
+        "| position error, m [95 %] | " + " | ".join(f"`{scene}`" for scene in found) + " |",
+        "|---" * (len(found) + 1) + "|",
+    ]
+    for name in shown:
+        cells = []
+        for some in found.values():
+            value, gap = some[name].value, some[name].difference
+            mark = "" if gap is None else " ▼" if gap.high < 0 else " ▲" if gap.low > 0 else " ="
+            cells.append(f"{number(value.value, 3)} [{number(value.low, 3)}, {number(value.high, 3)}]{mark}")
+        lines.append(f"| {LINES[name]} | " + " | ".join(cells) + " |")
+    suites = ", ".join(f"`{scene.removesuffix('-v0')}`" for scene in found)
+    runs = min(one.runs for some in found.values() for one in some.values())
     lines += [
         "",
-        "`jink bench --suite published --out docs/results/published.parquet` makes these and "
-        f"{int(found['published'].notna().sum()) - len(SHOWN) - 2} more; *plain numpy, not a publication.",
+        f"Root mean square of {runs} held-out runs; ▼ better, ▲ worse, = level with `imm` by paired intervals. All are",
+        f"tuned by one search. `jink bench --suite NAME --out docs/results/NAME.parquet`, with NAME {suites}, makes",
+        "the rows. Every estimator, with its interval:",
+        "",
+        "![Ladder of estimators with intervals, from the measurement to the bound](docs/pictures/ladder.png)",
     ]
     return "\n".join(lines) + "\n"
+
+
+def plotted(rows):
+    """Scenario -> estimator -> value and ends of its interval: what the figure shows."""
+    return {
+        scene: {name: [float(f"{v:.6g}") for v in one.value[:1] + one.value[2:4]] for name, one in some.items()}
+        for scene, some in compared(rows).items()
+    }
+
+
+def digest(numbers):
+    """Says which numbers a figure was drawn from; kept in the picture."""
+    return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def draw(numbers, path):
+    """The figure: one panel for each scene, the ladder from the measurement at the top to the bound."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+
+    from jink.training.ladder.rungs import LADDER
+    from jink.training.report.scenes import FAMILIES
+
+    looks = {
+        "measurement": ("#6b6b6b", "x"), "single filter": ("#0072B2", "o"), "adaptive filter": ("#00795a", "s"),
+        "bank": ("#b84700", "D"), "Jink": ("#8f3f78", "*"), "limit": ("#16191d", "|"), "other": ("#8a6a00", "^"),
+    }  # fmt: skip
+    names = [name for name in LADDER if any(name in some for some in numbers.values())]
+    size = (9.6, 1.3 + 0.25 * len(names))
+    figure, axes = plt.subplots(
+        1, len(numbers), sharey=True, figsize=size, dpi=100, layout="constrained", squeeze=False
+    )
+    for axis, (scene, some) in zip(axes[0], numbers.items(), strict=True):
+        for row, name in enumerate(names):
+            if name not in some:
+                continue
+            value, low, high = some[name]
+            family = FAMILIES.get(name.partition("@")[0], "other")
+            colour, marker = looks[family]
+            axis.plot([low, high], [row, row], color=colour, linewidth=2, solid_capstyle="butt")
+            big = 13 if marker in "*|" else 7
+            axis.plot(
+                [value], [row], color=colour, marker=marker, markersize=big, markeredgewidth=2 if marker == "|" else 1
+            )
+        if "oracle" in some:
+            axis.axvline(some["oracle"][0], color="#6b6b6b", linewidth=1, linestyle=":")
+        axis.set_xscale("log")
+        axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.xaxis.set_major_formatter(ScalarFormatter())
+        axis.xaxis.set_minor_formatter(NullFormatter())
+        axis.set_title(scene, fontsize=11)
+        axis.set_xlabel("position error, m")
+        axis.grid(axis="x", which="both", color="#d9dde1", linewidth=0.6)
+        axis.set_axisbelow(True)
+        for side in ("top", "right"):
+            axis.spines[side].set_visible(False)
+    axes[0][0].set_yticks(range(len(names)), names)
+    axes[0][0].invert_yaxis()
+    shown = dict.fromkeys(FAMILIES.get(name.partition("@")[0], "other") for name in names)
+    handles = [
+        plt.Line2D(
+            [], [], color=looks[f][0], marker=looks[f][1], markersize=11 if looks[f][1] in "*|" else 7, linewidth=2
+        )
+        for f in shown
+    ]
+    figure.legend(handles, shown, loc="outside upper center", ncols=len(shown), frameon=False, fontsize=9)
+    figure.savefig(path, metadata={"Description": digest(numbers), "Software": None})
+    plt.close(figure)
 
 
 def recorded_tables(rows):
@@ -106,8 +207,9 @@ def replace_block(text, marker, block):
 
 
 def main():
+    rows = ladder_rows()
     blocks = {
-        ROOT / "README.md": {"results": results_block(pd.read_parquet(ROWS / "published.parquet"))},
+        ROOT / "README.md": {"results": results_block(rows)},
         ROOT / "docs" / "recorded.md": recorded_tables(pd.read_parquet(ROWS / "recorded.parquet")),
     }
     for page, found in blocks.items():
@@ -116,6 +218,8 @@ def main():
             text = replace_block(text, marker, block)
         page.write_text(text, encoding="utf-8")
         print(f"wrote {page.relative_to(ROOT)}")
+    draw(plotted(rows), PICTURE)
+    print(f"wrote {PICTURE.relative_to(ROOT)}")
 
 
 if __name__ == "__main__":

@@ -230,10 +230,47 @@ def test_committed_rows_are_whole(suite):
 
 
 def test_readme_shows_the_committed_rows(pages):
-    block = pages.results_block(read_rows(ROWS / "published.parquet"))
+    rows = pages.ladder_rows()
+    block = pages.results_block(rows)
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     assert f"<!-- results:start -->\n{block}<!-- results:end -->" in text, "run benchmarks/update_readme.py"
-    assert block.count("\n|") == 7 and block.count("[") == 8  # heading, rule and six rows; one of them has two
+    scenes = len(pages.compared(rows))
+    assert scenes and block.count("\n|") == 6  # under the heading: the rule and five rows
+    assert len(re.findall(r"\d \[[\d.]+, [\d.]+\]", block)) == 5 * scenes
+
+
+def test_readme_table_is_that_of_the_runs(pages):
+    """Against plain numpy, not the script: the error of imm, and on which side of it the others are."""
+    rows = pages.ladder_rows()
+    block = pages.results_block(rows)
+    lines = {line.split("|")[1].strip(): line.split("|")[2:-1] for line in block.splitlines() if line.startswith("|")}
+    for column, scene in enumerate(pages.compared(rows)):
+        mine = rows[(rows["scenario"] == scene) & (rows["metric"] == "position_rmse") & (rows["kind"] == "number")]
+        runs = {row.estimator: np.asarray(row.samples, float) for row in mine.itertuples() if row.samples is not None}
+        for name in ("kf-cv", "imm", "joint-imm", "oracle"):
+            shown = lines[pages.LINES[name]][column]
+            value = math.sqrt(np.mean(runs[name] ** 2))
+            assert float(shown.split("[")[0]) == pytest.approx(value, rel=6e-3)
+            if " ▼" in shown:
+                assert value < math.sqrt(np.mean(runs["imm"] ** 2))
+            if " ▲" in shown:
+                assert value > math.sqrt(np.mean(runs["imm"] ** 2))
+
+
+def test_readme_figure_was_drawn_from_the_committed_rows(pages, tmp_path):
+    from PIL import Image
+
+    numbers = pages.plotted(pages.ladder_rows())
+    with Image.open(pages.PICTURE) as picture:
+        assert picture.info["Description"] == pages.digest(numbers), "run benchmarks/update_readme.py"
+        assert picture.size[0] == 960
+    assert "](docs/pictures/ladder.png)" in (ROOT / "README.md").read_text(encoding="utf-8")
+    pages.draw(numbers, tmp_path / "again.png")
+    with Image.open(tmp_path / "again.png") as again:
+        assert again.info["Description"] == pages.digest(numbers)
+        assert np.asarray(again.convert("L")).std() > 10, "something is drawn"
+    some = next(iter(numbers))
+    assert pages.digest(numbers | {some: {}}) != pages.digest(numbers)
 
 
 def test_recorded_page_shows_the_committed_rows(pages):
