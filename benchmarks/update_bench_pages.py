@@ -1,4 +1,4 @@
-"""Write the tables of the benchmark into README.md and docs/results.md, from the committed rows.
+"""Write the tables of the benchmark into docs/results.md, from the committed rows.
 
     python benchmarks/update_bench_pages.py
 
@@ -13,20 +13,10 @@ from update_readme import number, replace_block
 
 from jink.training.bench_jobs import SIMULATED
 from jink.training.ladder.pairing import compare, compare_suites
-from jink.training.ladder.rungs import FACTORS
 from jink.training.rows import read_rows
 
 ROOT = Path(__file__).resolve().parent.parent
 ROWS = ROOT / "docs" / "results"
-SHOWN = (
-    ("surge-v0", "Noise surges, 4 to 10 000 x"),
-    ("joint-v0", "A drone that manoeuvres in such surges"),
-    ("switch-v0", "The same drone without surges"),
-    ("heavy-tail-t3-v0", "Student-t noise, 3 degrees of freedom"),
-    ("model-error-surge-v0", "Surges and an error in the model"),
-)
-BEST = "best factor*"
-COLUMNS = ("kf-cv", BEST, "imm", "robust-imm", "joint-imm", "agent", "oracle")
 WIDE = ("raw", "kf-cv", "mahalanobis", "imm", "student-t-imm", "robust-imm", "sage-husa", "intent-imm", "joint-imm",
         "agent", "oracle", "bound")  # fmt: skip
 MEANS = ("nees_inside", "lost", "diverged", "microseconds_per_step")
@@ -51,26 +41,6 @@ def table(heading, rows):
 
 def shown_share(value):
     return "-" if math.isnan(value) else f"{100 * value:.3g} %"
-
-
-def readme_block(rows):
-    """Five rows: root mean square position errors with intervals."""
-    found = {(each.scenario, each.estimator): each.value for each in compare(rows)}
-    for scenario, _ in SHOWN:
-        known = [found[scenario, name] for name in FACTORS if (scenario, name) in found]
-        found[scenario, BEST] = min(known, key=lambda each: each.value, default=None)
-    columns = [name for name in COLUMNS if any(key[1] == name for key in found)]
-    runs = int(rows.loc[rows["metric"] == "position_rmse", "runs"].max())
-    lines = [[title, *(with_interval(found.get((scenario, name))) for name in columns)] for scenario, title in SHOWN]
-    text = table(["RMS position, m [95 %]", *(name if name == BEST else f"`{name}`" for name in columns)], lines)
-    factors = ", ".join(f"`{name}`" for name in FACTORS)
-    text += [
-        "",
-        f"{runs} runs each, the same for everybody; all but the agent tuned by the same search. *Of {factors},",
-        "chosen after the fact. `jink bench --suite all` makes these and",
-        "[the whole ladder](docs/results.md#the-benchmark).",
-    ]
-    return "\n".join(text) + "\n"
 
 
 def suite_block(rows, suite):
@@ -110,9 +80,7 @@ def suite_block(rows, suite):
 
 def blocks(rows):
     """Page and marker -> text."""
-    found = {("README.md", "bench"): readme_block(rows)}
-    found |= {("docs/results.md", f"bench-{suite}"): suite_block(rows, suite) for suite in SIMULATED}
-    return found
+    return {("docs/results.md", f"bench-{suite}"): suite_block(rows, suite) for suite in SIMULATED}
 
 
 def main():

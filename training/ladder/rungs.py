@@ -19,7 +19,16 @@ from jink.estimators.bank import Bank, Mode
 from jink.estimators.inputs import Prior
 from jink.estimators.motions import constant_velocity
 from jink.estimators.oracles import oracle
-from jink.estimators.recipes import ADAPTATIONS, RECIPES, Scales, intent_imm, kf_cv, robust_imm, student_t_imm
+from jink.estimators.recipes import (
+    ADAPTATIONS,
+    RECIPES,
+    Scales,
+    intent_imm,
+    kf_cv,
+    make_estimator,
+    robust_imm,
+    student_t_imm,
+)
 from jink.estimators.sensor import Sensor
 from jink.estimators.status import STARTING
 from jink.estimators.treatments import Adaptive, Uncertain
@@ -112,6 +121,8 @@ def make_follower(name: str, scenario: Scenario, settings: Settings) -> Follower
         return _outside(name, scenario, told)
     if name not in RECIPES:
         raise ValueError(f"--estimator: name must be one of {', '.join(LADDER)}; got '{name}'. See jink list.")
+    if name == "agent":
+        return _agent(scenario, scales, settings, told)
     if name == "student-t-imm":
         bank = student_t_imm(scenario.sensor, scales, dof=settings.dof)
     elif name == "robust-imm":
@@ -202,6 +213,20 @@ def _surge(estimator: Any, found: Estimates) -> Floats | None:
         return np.asarray(estimator.surge_probability(found))
     except (AttributeError, ValueError):  # it has no noise levels
         return None
+
+
+def _agent(scenario: Scenario, scales: Scales, settings: Settings, told: dict[str, Any]) -> Follower:
+    """The pretrained policy in the loop of a Kalman filter; it also says how probable a surge is."""
+    estimator: Any = make_estimator("agent", scenario.sensor, **vars(scales), threads=1)
+    follower = _following(estimator, scenario, settings, told)
+
+    def read(episodes: Episodes, found: Estimates) -> Readings:
+        noise = None if settings.noise == 1.0 else settings.noise * episodes.nominal_noise
+        places = episodes.sensor_states
+        surge = estimator.noise_run(episodes.measurements, episodes.times, noise, places, prior=_prior(episodes))[1]
+        return follower.read(episodes, found)._replace(surge=None if np.isnan(surge).all() else surge)
+
+    return follower._replace(read=read)
 
 
 def _outside(spec: str, scenario: Scenario, told: dict[str, Any]) -> Follower:
