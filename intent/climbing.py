@@ -67,7 +67,7 @@ def _columns(parameters: ModelParameters, sizes: Sizes, held: frozenset[str]) ->
     last = np.array([k == len(i.phases) - 1 for i in model.intents for k in range(len(i.phases))])
     masks = {
         "growth_mean": np.zeros(len(phases), np.bool_),
-        "turn_mean": np.zeros(len(phases), np.bool_),
+        "turn_mean": np.array([phase.mirrored and phase.law.turn_rate > 0.0 for phase in phases]),
         "log_natural": swings,
         "damping_logit": swings,
         "log_duration": ~last,

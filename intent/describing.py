@@ -6,12 +6,14 @@ import math
 from collections.abc import Sequence
 
 from jink.intent.laws import Phase
+from jink.intent.sides import spell_turn
 
 __all__ = ["describe_intent", "describe_phase"]
 
 _STILL_TURN = math.radians(0.5)  # rad/s: slower than this nobody calls a turn
 _STILL_GROWTH = 0.005  # 1/s
 _RIVAL = 3.0
+_ENDLESS = 1e9  # s
 
 
 def describe_intent(number: int, name: str, phases: Sequence[Phase], leaving: float, share: float) -> str:
@@ -25,16 +27,18 @@ def describe_intent(number: int, name: str, phases: Sequence[Phase], leaving: fl
         share: of the time in the long run.
     """
     label = f"intent {number}" if name in (f"intent {number}", str(number)) else f"intent {number} ({name})"
-    doing = ", then ".join(describe_phase(phase) for phase in phases)
-    lasting = math.fsum(phase.duration for phase in phases[:-1]) + (1.0 / leaving if leaving > 0 else math.inf)
+    spells = [*(phase.duration for phase in phases[:-1]), 1.0 / leaving if leaving > 0 else math.inf]
+    doing = ", then ".join(describe_phase(phase, spell) for phase, spell in zip(phases, spells, strict=True))
+    lasting = math.fsum(spells)
     spell = f"lasts {_short(lasting)} s" if lasting < 1e6 else "never ends"
     return f"{label}: {doing}, {spell}, {100 * share:.0f} % of the time"
 
 
-def describe_phase(phase: Phase) -> str:
-    """What a target does in one phase."""
+def describe_phase(phase: Phase, spell: float = math.inf) -> str:
+    """What a target does in one phase that lasts ``spell`` seconds; turn rates are those of whole spells."""
     law = phase.law
-    low_turn, high_turn, sign = _span([(b.turn_mean, b.turn_sd) for b in phase.births], law.turn_mean)
+    turns = [spell_turn(phase, birth, min(spell, _ENDLESS)) for birth in phase.births]
+    low_turn, high_turn, sign = _span(turns, 0.0)
     low, high, growing = _span([(b.growth_mean, b.growth_sd) for b in phase.births], law.growth_mean)
     if law.swing is not None:
         period = 2.0 * math.pi / law.swing[0]

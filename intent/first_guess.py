@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,19 @@ from jink.intent.model import Intent, IntentModel
 from jink.intent.sizes import Sizes
 from jink.intent.window import choose_window
 
-__all__ = ["STILL", "Guess", "first_intents", "guess", "law_like", "level", "one_intent"]
+__all__ = [
+    "STILL",
+    "Guess",
+    "first_intents",
+    "guess",
+    "law_like",
+    "level",
+    "one_intent",
+    "restless_intents",
+    "shaky",
+    "weave_of",
+    "weave_periods",
+]
 
 Floats = NDArray[np.float64]
 _SPELLS = 6.0
@@ -25,6 +38,11 @@ STILL = 0.1
 """Spread of a shape parameter that an intent leaves at zero, as a share of its typical size."""
 _WINDOW = 0.15  # of a piece: a longer window would hold more than one spell
 _SLOW = 3.0  # standard deviations of speed
+_PERIODS = (2.4, 3.6, 5.4, 8.0, 12.0, 18.0)  # steps
+_LONGEST = 0.26  # of a piece: two periods must fit into a spell
+_SWAY = 0.25  # rad
+_FORGETS = 3.0  # times per step that a shaky turn forgets its rate
+_SHAKE = 0.5  # of a typical turn per step
 
 
 class Guess(NamedTuple):
@@ -111,6 +129,52 @@ def first_intents(found: Guess, axes: int, most: int = 7) -> IntentModel:
         for k, (birth, sided) in enumerate(births[:most])
     ]
     return _with_chain(axes, tuple(made), sizes)
+
+
+def weave_periods(sizes: Sizes) -> tuple[float, ...]:
+    """Periods to try, s: from what rows just resolve to what a spell just holds."""
+    longest = _LONGEST * sizes.duration
+    periods = [count * sizes.step for count in _PERIODS if count * sizes.step < 0.8 * longest]
+    return (*periods, longest)
+
+
+def weave_of(axes: int, sizes: Sizes, period: float) -> Phase:
+    """A weave that turns as fast as turns do, and its course by a quarter radian at least.
+
+    Turn rates within a weave of a few steps are larger than any that windows show.
+    """
+    natural = 2.0 * math.pi / period
+    rate = max(sizes.turn, _SWAY * natural)
+    birth = Birth(1.0, 0.0, STILL * sizes.growth, 0.0, rate, swing_sd=0.5 * rate * natural)
+    law = law_like(axes, sizes, (natural, 0.05))
+    return Phase(replace(law, turn_noise=law.turn_noise * (rate / sizes.turn) ** 2), (birth,))
+
+
+def shaky(sizes: Sizes, rate: float) -> Phase:
+    """A turn in the plane whose rate shakes about a mean from step to step: the course diffuses."""
+    forgets = _FORGETS / sizes.step
+    noise = (_SHAKE * sizes.turn) ** 2 * sizes.step * forgets**2
+    law = replace(law_like(2, sizes), turn_mean=rate, turn_rate=forgets, turn_noise=noise)
+    spread = math.sqrt(0.5 * noise / forgets)
+    return Phase(law, (Birth(1.0, 0.0, STILL * sizes.growth, rate, spread),), mirrored=True)
+
+
+def restless_intents(found: Guess, axes: int, most: int = 7) -> IntentModel:
+    """Straight, weaves of many periods and, in the plane, a turn whose rate shakes.
+
+    What `first_intents` cannot become: a course that shakes from row to row leaves windows nothing to see.
+
+    Args:
+        found: from `guess`.
+        axes: 2 or 3.
+        most: intents, 1 to 7.
+    """
+    sizes = found.sizes
+    phases = [shaky(sizes, level(found.turns, 0.8, sizes.turn))] if axes == 2 else []
+    phases.append(Phase(law_like(axes, sizes), (Birth(1.0, 0.0, STILL * sizes.growth, 0.0, STILL * sizes.turn),)))
+    phases += [weave_of(axes, sizes, period) for period in weave_periods(sizes)]
+    made = tuple(Intent(chr(ord("a") + k), (phase,)) for k, phase in enumerate(phases[:most]))
+    return _with_chain(axes, made, sizes)
 
 
 def one_intent(found: Guess, axes: int) -> IntentModel:

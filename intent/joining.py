@@ -15,11 +15,14 @@ from numpy.typing import NDArray
 
 from jink.intent.laws import Birth, Law, Phase
 from jink.intent.model import Intent, IntentModel
+from jink.intent.sides import keeps_side, lasting
 
-__all__ = ["MOST_BIRTHS", "append", "closest_joined", "join_births", "merge", "settled", "tidy", "without"]
+__all__ = ["MOST_BIRTHS", "alike", "append", "closest_joined", "join_births", "merge", "settled", "tidy", "without"]
 
 Floats = NDArray[np.float64]
 MOST_BIRTHS = 4
+_SAME_PERIOD = 0.2  # log of the ratio of two periods that are one
+_SAME_SPREAD = 8.0  # ratio of two spreads that are one
 _ONE_SIDED = 0.5  # standard deviations of the turn rate from zero below which left and right are not told apart
 
 
@@ -78,11 +81,12 @@ def _last_shares(model: IntentModel, shares: Floats) -> list[float]:
     return found
 
 
-def merge(model: IntentModel, first: int, second: int) -> IntentModel | None:
+def merge(model: IntentModel, first: int, second: int, *, renewed: bool = False) -> IntentModel | None:
     """Two intents as one with the births of both; None where their laws have unlike parts.
 
     Noises become averages of their logs, weighted with the time in each; births are weighted with how often each intent
-    begins; direct switches between the two are gone.
+    begins. Direct switches between the two are gone; or, ``renewed``, they are the one intent that begins anew, which
+    only twins can be (`alike`): any two intents with births of their own could be called one otherwise.
     """
     one, two = model.intents[first], model.intents[second]
     if len(one.phases) > 1 or len(two.phases) > 1:
@@ -99,9 +103,18 @@ def merge(model: IntentModel, first: int, second: int) -> IntentModel | None:
         for intent, share in zip((one, two), begins / begins.sum(), strict=True)
         for birth in intent.phases[0].births
     ]
+    if renewed and not alike(one.phases[0], two.phases[0]):
+        return None
     mirrored = one.phases[0].mirrored or two.phases[0].mirrored
     phase = Phase(law, _normalised(births), mirrored)
-    joined = Intent(one.name, (phase,), max(one.renewal, two.renewal))
+    again = max(one.renewal, two.renewal)
+    if renewed:
+        other = 1.0 - math.fsum(
+            birth.weight**2 for birth in phase.births
+        )  # a mode that begins anew as itself is no switch
+        switches = float(flows[first, second] + flows[second, first])
+        again += switches / max(float(shares[first] + shares[second]) * other, 1e-12)
+    joined = Intent(one.name, (phase,), again)
     keep = [i for i in range(len(model.intents)) if i != second]
     moved = flows.copy()
     moved[first] += moved[second]
@@ -113,6 +126,28 @@ def merge(model: IntentModel, first: int, second: int) -> IntentModel | None:
     lasts[first] += lasts[second]
     intents = [joined if i == first else model.intents[i] for i in keep]
     return tidy(_rebuilt(model, intents, moved, total[keep], [lasts[i] for i in keep]))
+
+
+def alike(one: Phase, two: Phase) -> bool:
+    """Two phases of one law that begin with the same: births and weaves overlap."""
+    if one.mirrored != two.mirrored or (one.law.swing is None) != (two.law.swing is None):
+        return False
+    swings = [phase.law.swing[0] for phase in (one, two) if phase.law.swing is not None]
+    if swings and abs(math.log(swings[0] / swings[1])) > _SAME_PERIOD:
+        return False
+    a, b = (_one_birth(phase.births) for phase in (one, two))
+    pairs = ((a.growth_mean, a.growth_sd, b.growth_mean, b.growth_sd), (a.turn_mean, a.turn_sd, b.turn_mean, b.turn_sd))
+    for mean, sd, other, other_sd in pairs:
+        if abs(mean - other) > math.hypot(sd, other_sd) or max(sd, other_sd) > _SAME_SPREAD * min(sd, other_sd):
+            return False
+    return True
+
+
+def _one_birth(births: Sequence[Birth]) -> Birth:
+    left = list(births)
+    while len(left) > 1:
+        left = closest_joined(left)
+    return left[0]
 
 
 def append(model: IntentModel, first: int, second: int) -> IntentModel | None:
@@ -164,6 +199,10 @@ def _average(one: Law, two: Law, shares: Floats) -> Law:
 
     names = ("growth_rate", "growth_noise", "turn_rate", "turn_noise", "wobble")
     changed: dict[str, object] = {name: mean(getattr(one, name), getattr(two, name)) for name in names}
+    for name in ("growth", "turn"):  # a law that forgets nothing has no mean
+        weights = [share * (getattr(law, f"{name}_rate") > 0.0) for share, law in zip(shares, (one, two), strict=True)]
+        means = [getattr(law, f"{name}_mean") for law in (one, two)]
+        changed[f"{name}_mean"] = float(np.dot(weights, means) / max(sum(weights), 1e-300))
     if one.swing is not None and two.swing is not None:
         changed["swing"] = (mean(one.swing[0], two.swing[0]), mean(one.swing[1], two.swing[1]))
     return replace(one, **changed)  # type: ignore[arg-type]
@@ -177,23 +216,26 @@ def _normalised(births: Sequence[Birth]) -> tuple[Birth, ...]:
 def tidy(model: IntentModel, most: int = MOST_BIRTHS) -> IntentModel:
     """Few births per phase, sides only where left and right differ; the heaviest birth first."""
     intents = []
-    for intent in model.intents:
+    for i, intent in enumerate(model.intents):
         phases = []
-        for phase in intent.phases:
+        for k, phase in enumerate(intent.phases):
             births = list(phase.births)
             while len(births) > most:
                 births = closest_joined(births)
             births.sort(key=lambda birth: -birth.weight)
-            sided = [abs(birth.turn_mean) > _ONE_SIDED * birth.turn_sd for birth in births]
-            mirrored = phase.mirrored and any(sided)
+            lasts = lasting(model, i, k)
+            mirrored = phase.mirrored and any(keeps_side(phase, birth, lasts, _ONE_SIDED) for birth in births)
+            law = phase.law if mirrored or not phase.mirrored else replace(phase.law, turn_mean=0.0)
             if phase.mirrored:
+                one_side = math.copysign(1.0, law.turn_mean) if law.turn_mean else None
+                law = replace(law, turn_mean=abs(law.turn_mean))
                 births = [
-                    replace(birth, turn_mean=abs(birth.turn_mean))
+                    replace(birth, turn_mean=abs(birth.turn_mean) if one_side is None else one_side * birth.turn_mean)
                     if mirrored
                     else replace(birth, turn_mean=0.0, turn_sd=math.hypot(birth.turn_sd, birth.turn_mean))
                     for birth in births
                 ]
-            phases.append(replace(phase, births=_normalised(births), mirrored=mirrored))
+            phases.append(Phase(law, _normalised(births), mirrored, phase.duration))
         intents.append(replace(intent, phases=tuple(phases)))
     return model.with_(intents=tuple(intents))
 

@@ -13,11 +13,13 @@ from jink.estimators.sensor import Sensor
 from jink.estimators.sensors import make_sensor, position
 from jink.estimators.tracks import Tracks
 from jink.intent.model import IntentModel
+from jink.intent.sides import keeps_side, lasting
 
 __all__ = ["ChangePoint", "Run", "Segmentation", "segment", "tracks_sensor"]
 
 Floats = NDArray[np.float64]
 _WINDOW_STEPS = 4.0
+_FITTINGS, _FITTED = 200, 1e-6  # sweeps at most, and what they may leave of a probability
 
 
 class ChangePoint(NamedTuple):
@@ -163,15 +165,16 @@ def segment(
 ) -> Segmentation:
     """Label tracks with the intents of a model, by the smoother.
 
-    Model: with filtered mode probabilities mu, smoothed s, the chain Pi of a step and ``c = Pi' mu``, the pair of modes
-    (i before, j after) has probability ``mu_i Pi_ij s_j / c_j`` (Kim); a switch is a pair of unlike labels.
+    Model: with filtered mode probabilities mu, smoothed s, the chain Pi of a step and ``c = Pi' mu``, pairs of modes
+    (i before, j after) are those nearest to ``mu_i Pi_ij s_j / c_j`` (Kim) with the marginals s before and after; a
+    switch is a pair of unlike labels.
 
     Args:
         model: what was learned.
         tracks: what was measured; any sensor of the bank.
         sensor: None: that of the tracks, with their noise or the one the model learned.
-        handed: left and right of a mirrored intent are labels of their own, where its births keep to their side (mean
-            turn rate larger than its spread).
+        handed: left and right of a mirrored intent are labels of their own, where a spell keeps to its side (mean turn
+            rate larger than its spread).
         window: around a change point, s; None: four median time steps.
         threads: processor cores; None: all.
 
@@ -211,8 +214,8 @@ def _groups(model: IntentModel, handed: bool) -> tuple[NDArray[np.int64], tuple[
     for mode in model.modes:
         name = model.intents[mode.intent].name
         phase = model.phase_of(mode)
-        sided = all(abs(birth.turn_mean) > birth.turn_sd for birth in phase.births)
-        if handed and phase.mirrored and sided:
+        lasts = lasting(model, mode.intent, mode.phase)
+        if handed and phase.mirrored and all(keeps_side(phase, birth, lasts) for birth in phase.births):
             name += " left" if mode.sign > 0 else " right"
         if name not in names:
             names.append(name)
@@ -230,7 +233,30 @@ def _switch_probs(
     for dt in np.unique(steps):
         b, t = np.nonzero(steps == dt)
         Pi = np.asarray(chain.at(float(dt)))
-        before = filtered[b, t]
-        ahead = np.maximum(before @ Pi, 1e-300)
-        out[b, t + 1] = np.einsum("ki,ij,kj->k", before, Pi * unlike, smoothed[b, t + 1] / ahead, optimize=True)
+        pairs = _pairs(filtered[b, t], Pi, smoothed[b, t], smoothed[b, t + 1])
+        out[b, t + 1] = np.einsum("kij,ij->k", pairs, unlike, optimize=True)
     return np.clip(out, 0.0, 1.0)
+
+
+def _pairs(filtered: Floats, Pi: Floats, before: Floats, after: Floats) -> Floats:
+    """Joint probability of modes at two rows, (K, M, M), whose marginals are the smoother's at both.
+
+    Of all such joints the nearest (Kullback-Leibler) to Kim's ``mu_i Pi_ij s_j / c_j``, whose second marginal is right
+    and whose first is not that of a smoother which weighs pairs by the likelihood of the future.
+
+    Args:
+        filtered: mu at the first row; (K, M).
+        Pi: of the step between; (M, M).
+        before, after: smoothed at the two rows; (K, M).
+
+    Source: Deming & Stephan (1940), iterative proportional fitting.
+    """
+    pairs = filtered[:, :, None] * Pi
+    pairs = pairs * (after / np.maximum(pairs.sum(axis=1), 1e-300))[:, None, :]
+    for _ in range(_FITTINGS):
+        rows = pairs.sum(axis=2)
+        if float(np.abs(rows - before).max(initial=0.0)) < _FITTED:
+            break
+        pairs *= (before / np.maximum(rows, 1e-300))[:, :, None]
+        pairs *= (after / np.maximum(pairs.sum(axis=1), 1e-300))[:, None, :]
+    return np.asarray(pairs)

@@ -14,7 +14,17 @@ from jink.intent.model import IntentModel
 if TYPE_CHECKING:
     from jink.intent.bank_torch import Batch
 
-__all__ = ["RESOLVABLE", "WORTH", "CurvePoint", "choose", "curve_of", "row_scores", "smaller_models", "track_scores"]
+__all__ = [
+    "RESOLVABLE",
+    "WORTH",
+    "CurvePoint",
+    "choose",
+    "curve_of",
+    "freedom",
+    "row_scores",
+    "smaller_models",
+    "track_scores",
+]
 
 Floats = NDArray[np.float64]
 
@@ -67,15 +77,30 @@ def smaller_models(model: IntentModel) -> Iterator[tuple[str, IntentModel]]:
     for i in range(count):
         yield f"without {names[i]}", without(model, i)
         for j in range(i + 1, count):
-            joined = merge(model, i, j)
-            if joined is not None:
-                yield f"{names[i]} and {names[j]}", joined
+            for renewed, word in ((False, "and"), (True, "is")):
+                joined = merge(model, i, j, renewed=renewed)
+                if joined is not None:
+                    yield f"{names[i]} {word} {names[j]}", joined
         for j in range(count):
             leaving = -rates[i, i]
             if i != j and leaving > 0 and rates[i, j] > _FOLLOWS * leaving:
                 template = append(model, i, j)
                 if template is not None:
                     yield f"{names[i]} then {names[j]}", template
+
+
+def freedom(model: IntentModel) -> int:
+    """How many numbers of a model are free."""
+    count = len(model.intents)
+    free = count * (count - 1)
+    for intent in model.intents:
+        free += len(intent.phases) - 1 + (intent.renewal > 0)
+        for phase in intent.phases:
+            law = phase.law
+            free += 3 + (law.growth_rate > 0) + (law.turn_rate > 0) * (2 if phase.mirrored else 1)
+            free += 2 * law.second_order
+            free += len(phase.births) * (4 + phase.mirrored + law.second_order) - 1
+    return free
 
 
 def _bootstrap(difference: Floats, rows: Floats, seed: int) -> Floats:

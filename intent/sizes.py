@@ -42,8 +42,19 @@ class Sizes(NamedTuple):
             "log_birth_growth_sd": math.log(2e-3 * self.growth),
             "log_birth_turn_sd": math.log(2e-3 * self.turn),
             "log_rates": math.log(1e-4 / self.duration),
+            "log_renewal": math.log(1e-4 / self.duration),
         }
 
     def ceilings(self) -> dict[str, float]:
-        """Greatest values of logarithms: an intent that ends sooner than two steps on explains a row, not a motion."""
-        return {"log_rates": math.log(0.5 / self.step)}
+        """Greatest values of logarithms.
+
+        An intent that ends sooner than two steps on explains a row, not a motion; a weave that is faster than half a
+        period per step is seen as a slower one; what is forgotten within a tenth of a step is white noise.
+        """
+        return {
+            "log_rates": math.log(0.5 / self.step),
+            "log_renewal": math.log(0.5 / self.step),
+            "log_natural": math.log(math.pi / self.step),
+            "log_growth_rate": math.log(10.0 / self.step),
+            "log_turn_rate": math.log(10.0 / self.step),
+        }

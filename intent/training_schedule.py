@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from jink.estimators.tracks import Tracks
 from jink.intent.climbing import climb
 from jink.intent.diary import Diary
-from jink.intent.first_guess import Guess, first_intents, guess, one_intent
+from jink.intent.first_guess import Guess, first_intents, guess, one_intent, restless_intents
 from jink.intent.joining import MOST_BIRTHS, closest_joined, tidy
 from jink.intent.lessons import Lessons, first_spoiled
 from jink.intent.model import Intent, IntentModel
 from jink.intent.progress import Progress
 from jink.intent.proposals import larger_models
-from jink.intent.selection import WORTH, CurvePoint, choose, curve_of, row_scores, smaller_models, track_scores
+from jink.intent.selection import WORTH, CurvePoint, choose, curve_of, freedom, row_scores, smaller_models, track_scores
 
 if TYPE_CHECKING:
     from jink.intent.bank_torch import Batch
@@ -30,6 +30,9 @@ __all__ = ["Outcome", "Settings", "learn"]
 Floats = NDArray[np.float64]
 _OUTLIER = 25.0  # nats below the median row
 _PASSES, _MOST_OUTLIERS = 12, 0.2
+_HOPE = 5.0  # times its charge that a smaller model may lack before it is fitted
+_FEWEST_HEAT = 12  # pieces that rivals run over
+_RIVALS = 4  # of the larger models tried, how many are fitted further
 _FEWER_BIRTHS = 2e-4  # nats per row that a birth component must bring
 
 
@@ -40,7 +43,7 @@ class Settings:
     Args:
         intents: how many; None: chosen.
         most: intents to begin with.
-        single, first, fewer, tries, more, last: steps of the stages.
+        single, heat, first, fewer, tries, more, last: steps of the stages.
         rounds: how often an intent that may be lacking is looked for.
         rivals: how many of the best smaller models are fitted at each number of intents.
         seconds: processor budget; None: none. Climbs stop when it is spent, so results then depend on the machine.
@@ -52,6 +55,7 @@ class Settings:
     intents: int | None = None
     most: int = 7
     single: int = 25
+    heat: int = 15
     first: int = 70
     fewer: int = 15
     tries: int = 5
@@ -176,6 +180,8 @@ def learn(lessons: Lessons, settings: Settings, diary: Diary, tell: Callable[[Pr
     def last() -> tuple[IntentModel, dict[str, Any]]:
         model = _fewer_births(trainer, kept.models[count], fit)
         model = tidy(trainer.climb(model, everything, "final", settings.last, 2e-6))
+        if wanted is None:
+            model = _pruned(trainer, model, everything)
         return model, {"log_likelihood": trainer.mean(model, everything)}
 
     model, numbers = diary.stage("final", last)
@@ -245,7 +251,8 @@ def _many(trainer: _Trainer, diary: Diary, fit: Batch, held: Batch, found: _Foun
     settings, axes = trainer.settings, trainer.lessons.pieces.axes
 
     def first() -> tuple[IntentModel, dict[str, Any]]:
-        start = trainer.with_noise(first_intents(trainer.found, axes, settings.most))
+        starts = [start(trainer.found, axes, settings.most) for start in (first_intents, restless_intents)]
+        start = _leader(trainer, [trainer.with_noise(start) for start in starts], settings.heat, 1)[0]
         return tidy(trainer.climb(start, fit, "fit", settings.first)), {}
 
     model, _ = diary.stage("fit", first)
@@ -291,13 +298,17 @@ def _reduce(
 def _larger(trainer: _Trainer, model: IntentModel, fit: Batch) -> IntentModel:
     """The best model with one intent more, fitted."""
     settings = trainer.settings
-    best, chosen = -math.inf, model
-    for candidate in larger_models(model, trainer.found):
-        tried = trainer.climb(candidate, fit, "more", settings.tries)
-        value = trainer.mean(tried, fit)
-        if value > best:
-            best, chosen = value, tried
-    return tidy(trainer.climb(chosen, fit, "more", settings.more))
+    tried = _leader(trainer, list(larger_models(model, trainer.found)), settings.tries, _RIVALS, apart=4)
+    best = _leader(trainer, tried, 2 * settings.tries, 1)[0]
+    return tidy(trainer.climb(best, fit, "more", settings.more))
+
+
+def _leader(trainer: _Trainer, models: list[IntentModel], steps: int, kept: int, apart: int = 2) -> list[IntentModel]:
+    """The best few of many models after some steps on every second (``apart``) of the pieces that are fitted."""
+    pieces = trainer.lessons.fit
+    some = trainer.batch(pieces[:: min(apart, max(len(pieces) // _FEWEST_HEAT, 1))])
+    tried = [trainer.climb(model, some, "heat", steps) for model in models]
+    return sorted(tried, key=lambda model: -trainer.mean(model, some))[:kept]
 
 
 def _smaller(trainer: _Trainer, model: IntentModel, fit: Batch) -> IntentModel:
@@ -316,6 +327,30 @@ def _smaller(trainer: _Trainer, model: IntentModel, fit: Batch) -> IntentModel:
     if chosen is None:
         raise AssertionError("every model of two or more intents has a smaller one")
     return chosen
+
+
+def _pruned(trainer: _Trainer, model: IntentModel, everything: Batch) -> IntentModel:
+    """Take intents away from a fitted model while all tracks, charged for parameters, are none the worse.
+
+    Held-out pieces choose the number roughly where they are few; twins that share a law cost nothing to join.
+    """
+    settings = trainer.settings
+    rows = max(float(everything.rows), 1.0)
+    while len(model.intents) > 2:
+        value = trainer.mean(model, everything)
+        ranked = sorted(
+            ((trainer.mean(candidate, everything), how, candidate) for how, candidate in smaller_models(model)),
+            key=lambda entry: (-entry[0], entry[1]),
+        )
+        begun, _, candidate = ranked[0]
+        charge = 0.5 * (freedom(model) - freedom(candidate)) * math.log(rows) / rows
+        if begun < value - _HOPE * charge:
+            return model
+        smaller = tidy(trainer.climb(candidate, everything, "prune", settings.fewer))
+        if trainer.mean(smaller, everything) < value - charge:
+            return model
+        model = smaller
+    return model
 
 
 def _fewer_births(trainer: _Trainer, model: IntentModel, fit: Batch) -> IntentModel:

@@ -8,7 +8,7 @@ from jink.estimators.sensors import position
 from jink.estimators.tracks import Tracks
 from jink.intent.laws import Birth, Law, Phase
 from jink.intent.model import Intent, IntentModel
-from jink.intent.segmentation import Segmentation, segment
+from jink.intent.segmentation import Segmentation, _pairs, segment
 from jink.intent.segmentation_scores import detection_delay, score_segmentation
 
 
@@ -110,6 +110,28 @@ def test_true_laws_label_tracks_and_probabilities_are_calibrated():
     near = [np.any(np.abs(np.flatnonzero(np.diff(labels[b])) + 0.5 - cut.time) <= 0.5 * found.window + 1e-9)
             for b in range(40) for cut in found.change_points(b)]  # fmt: skip
     assert np.mean([cut.probability for cut in cuts]) == pytest.approx(np.mean(near), abs=0.15)
+
+
+def test_pairs_of_modes_have_the_marginals_of_the_smoother():
+    rng = np.random.default_rng(5)
+    Pi = rng.dirichlet(np.array([8.0, 1.0, 1.0]), 3)
+    filtered, before, after = (rng.dirichlet(np.ones(3), 50) for _ in range(3))
+    pairs = _pairs(filtered, Pi, before, after)
+    np.testing.assert_allclose(pairs.sum(axis=2), before, atol=2e-6)
+    np.testing.assert_allclose(pairs.sum(axis=1), after, atol=1e-12)
+    # where the marginals are already right nothing moves: an exact chain with an exact likelihood of the future
+    future = rng.uniform(0.1, 1.0, (50, 3))
+    joint = filtered[:, :, None] * Pi * future[:, None, :]
+    joint /= joint.sum(axis=(1, 2), keepdims=True)
+    np.testing.assert_allclose(_pairs(filtered, Pi, joint.sum(axis=2), joint.sum(axis=1)), joint, atol=1e-12)
+
+
+def test_a_label_cannot_change_more_than_it_switches():
+    tracks = switching_tracks(4, 60, seed=3)[0]
+    found = segment(truth_model(), tracks)
+    moved = 0.5 * np.abs(np.diff(found.probs, axis=1)).sum(axis=2)
+    assert moved.max() > 0.2  # something happens
+    assert (found.switches[:, 1:] >= moved - 1e-4).all()
 
 
 def test_left_and_right_may_be_labels():
