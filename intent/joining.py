@@ -17,12 +17,23 @@ from jink.intent.laws import Birth, Law, Phase
 from jink.intent.model import Intent, IntentModel
 from jink.intent.sides import keeps_side, lasting
 
-__all__ = ["MOST_BIRTHS", "alike", "append", "closest_joined", "join_births", "merge", "settled", "tidy", "without"]
+__all__ = [
+    "MOST_BIRTHS",
+    "alike",
+    "append",
+    "closest_joined",
+    "join_births",
+    "merge",
+    "settled",
+    "shorter",
+    "tidy",
+    "without",
+]
 
 Floats = NDArray[np.float64]
 MOST_BIRTHS = 4
 _SAME_PERIOD = 0.2  # log of the ratio of two periods that are one
-_SAME_SPREAD = 8.0  # ratio of two spreads that are one
+_SAME_SPREAD = 3.0  # ratio of two spreads that are one
 _ONE_SIDED = 0.5  # standard deviations of the turn rate from zero below which left and right are not told apart
 
 
@@ -174,6 +185,21 @@ def append(model: IntentModel, first: int, second: int) -> IntentModel | None:
     lasts[first] = lasts[second]
     intents = [joined if i == first else model.intents[i] for i in keep]
     return _rebuilt(model, intents, moved, total[keep], [lasts[i] for i in keep])
+
+
+def shorter(model: IntentModel, number: int, phase: int) -> IntentModel:
+    """A template without one of its phases: the next phase, or the one before the last, lasts so much longer."""
+    phases = list(model.intents[number].phases)
+    leaving = -model.generator[number][number]
+    lasts = [*(entry.duration for entry in phases[:-1]), 1.0 / leaving]
+    del phases[phase]
+    spare = lasts.pop(phase)
+    lasts[min(phase, len(lasts) - 1)] += spare
+    kept = tuple(replace(entry, duration=lasting) for entry, lasting in zip(phases, lasts, strict=True))
+    intents, rates = list(model.intents), np.array(model.generator)
+    intents[number] = replace(intents[number], phases=kept)
+    rates[number] *= 1.0 / (lasts[-1] * leaving)
+    return settled(model.with_(intents=tuple(intents), generator=tuple(map(tuple, rates.tolist()))))
 
 
 def without(model: IntentModel, number: int) -> IntentModel:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jink.intent.joining import append, merge, without
+from jink.intent.joining import append, merge, shorter, without
 from jink.intent.model import IntentModel
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ __all__ = [
     "curve_of",
     "freedom",
     "row_scores",
+    "shorter_models",
     "smaller_models",
     "track_scores",
 ]
@@ -101,6 +102,13 @@ def freedom(model: IntentModel) -> int:
             free += 2 * law.second_order
             free += len(phase.births) * (4 + phase.mirrored + law.second_order) - 1
     return free
+
+
+def shorter_models(model: IntentModel) -> Iterator[tuple[str, IntentModel]]:
+    """Every model in which one template has one phase less, and how."""
+    for i, intent in enumerate(model.intents):
+        for k in range(len(intent.phases) if len(intent.phases) > 1 and model.generator[i][i] < 0 else 0):
+            yield f"{intent.name} less {k}", shorter(model, i, k)
 
 
 def _bootstrap(difference: Floats, rows: Floats, seed: int) -> Floats:

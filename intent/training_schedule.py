@@ -20,7 +20,17 @@ from jink.intent.lessons import Lessons, first_spoiled
 from jink.intent.model import Intent, IntentModel
 from jink.intent.progress import Progress
 from jink.intent.proposals import larger_models
-from jink.intent.selection import WORTH, CurvePoint, choose, curve_of, freedom, row_scores, smaller_models, track_scores
+from jink.intent.selection import (
+    WORTH,
+    CurvePoint,
+    choose,
+    curve_of,
+    freedom,
+    row_scores,
+    shorter_models,
+    smaller_models,
+    track_scores,
+)
 
 if TYPE_CHECKING:
     from jink.intent.bank_torch import Batch
@@ -330,16 +340,20 @@ def _smaller(trainer: _Trainer, model: IntentModel, fit: Batch) -> IntentModel:
 
 
 def _pruned(trainer: _Trainer, model: IntentModel, everything: Batch) -> IntentModel:
-    """Take intents away from a fitted model while all tracks, charged for parameters, are none the worse.
+    """Take intents and phases away from a fitted model while all tracks, charged for parameters, are none the worse.
 
     Held-out pieces choose the number roughly where they are few; twins that share a law cost nothing to join.
     """
     settings = trainer.settings
     rows = max(float(everything.rows), 1.0)
-    while len(model.intents) > 2:
+    while True:
         value = trainer.mean(model, everything)
+        simpler = list(smaller_models(model)) if len(model.intents) > 2 else []
+        simpler += shorter_models(model)
+        if not simpler:
+            return model
         ranked = sorted(
-            ((trainer.mean(candidate, everything), how, candidate) for how, candidate in smaller_models(model)),
+            ((trainer.mean(candidate, everything), how, candidate) for how, candidate in simpler),
             key=lambda entry: (-entry[0], entry[1]),
         )
         begun, _, candidate = ranked[0]

@@ -12,7 +12,7 @@ from jink.intent.headings import heading_tracks
 from jink.intent.joining import alike, merge, settled, tidy
 from jink.intent.laws import Birth, Law, Phase
 from jink.intent.model import Intent, IntentModel
-from jink.intent.selection import freedom, row_scores, smaller_models
+from jink.intent.selection import freedom, row_scores, shorter_models, smaller_models
 from jink.intent.sides import keeps_side, spell_turn
 
 STEP = 0.1
@@ -117,3 +117,20 @@ def test_twins_are_one_intent_that_begins_anew():
     assert any(how == "a is b" for how, _ in smaller_models(model))
     assert merge(twins(0.5), 0, 1, renewed=True) is None
     assert not alike(model.intents[0].phases[0], model.intents[2].phases[0])
+
+
+def test_a_template_may_lose_a_phase_and_lasts_as_long():
+    """Stay and leave times survive; each phase may go."""
+    base = settled(twins())
+    first, second = base.intents[0].phases[0], base.intents[2].phases[0]
+    whole = Intent("a", (dataclasses.replace(first, duration=2.0), dataclasses.replace(second, duration=3.0), first))
+    model = settled(IntentModel(2, (whole, base.intents[2]), ((-0.25, 0.25), (0.5, -0.5)), speed=0.7))
+    found = dict(shorter_models(model))
+    assert list(found) == ["a less 0", "a less 1", "a less 2"]
+    lasts = [(5.0, 4.0), (2.0, 7.0), (2.0, 7.0)]
+    for (how, one), (before, last) in zip(found.items(), lasts, strict=True):
+        assert len(one.intents[0].phases) == 2, how
+        assert one.intents[0].phases[0].duration == pytest.approx(before)
+        assert -1.0 / one.generator[0][0] == pytest.approx(last)
+        assert one.intent_probs(one.mode_shares())[0] == pytest.approx(9.0 / 11.0)
+        assert freedom(one) < freedom(model)
