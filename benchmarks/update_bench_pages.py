@@ -12,7 +12,8 @@ import pandas as pd
 from update_readme import number, replace_block
 
 from jink.training.bench_jobs import SIMULATED
-from jink.training.ladder.pairing import compare, compare_suites
+from jink.training.ladder.pairing import compare, compare_suites, in_order
+from jink.training.ladder.rungs import LADDER
 from jink.training.rows import read_rows
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -51,7 +52,7 @@ def suite_block(rows, suite):
     first = found[0].scenario
     in_first = {each.estimator: each for each in found if each.scenario == first}
     lines = []
-    for each in compare_suites(mine):
+    for each in in_order(compare_suites(mine), LADDER):
         one = in_first.get(each.estimator)
         nees, lost, diverged, cost = (means.get((each.estimator, name), math.nan) for name in MEANS)
         lines.append(

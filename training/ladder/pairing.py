@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -12,7 +13,7 @@ from jink.training.intervals import Measured, Score, Statistic, measure, resampl
 from jink.training.ladder.scores import METRICS
 from jink.training.weighted import interquartile_mean, mean, root_mean
 
-__all__ = ["BASE", "Comparison", "Overall", "Runs", "compare", "compare_suites", "pool_runs"]
+__all__ = ["BASE", "Comparison", "Overall", "Runs", "compare", "compare_suites", "in_order", "pool_runs"]
 
 Floats = NDArray[np.float64]
 Key = tuple[str, str, str]
@@ -44,6 +45,12 @@ class Comparison(NamedTuple):
     difference: Measured | None
     ratio: Measured | None
     runs: int
+
+
+def in_order(found: Iterable[Any], ladder: Sequence[str]) -> list[Any]:
+    """Comparisons with their estimators in the order of the ladder, others behind; scenarios stay as they come."""
+    places = {name: place for place, name in enumerate(ladder)}
+    return sorted(found, key=lambda each: places.get(each.estimator, len(places)))
 
 
 def pool_runs(rows: pd.DataFrame, metric: str) -> dict[Key, Runs]:

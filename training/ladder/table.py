@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from jink.training.intervals import Measured
-from jink.training.ladder.pairing import BASE, Comparison, compare, compare_suites
+from jink.training.ladder.pairing import BASE, Comparison, compare, compare_suites, in_order
+from jink.training.ladder.rungs import LADDER
 from jink.training.summary import number, plain_table
 
 __all__ = ["print_ladder"]
@@ -25,6 +26,7 @@ def print_ladder(console: Console, rows: pd.DataFrame) -> None:
     """Errors with intervals and paired differences to imm, failures and cost beside them; then what was left out."""
     found = compare(rows)
     scenarios = list(dict.fromkeys(each.scenario for each in found))
+    found = in_order(found, LADDER)
     extra = _extra(rows)
     if len(scenarios) <= _DETAILED:
         for scenario in scenarios:
@@ -98,7 +100,7 @@ def _print_suite(console: Console, rows: pd.DataFrame, extra: Mapping[tuple[str,
         title=f"the whole suite: geometric mean of the ratios to {BASE} [95 %, paired]; means of the rest",
     )  # fmt: skip
     _keep_whole(table)
-    for each in compare_suites(rows):
+    for each in in_order(compare_suites(rows), LADDER):
         means = {
             name: [value for (_, one, metric), value in extra.items() if one == each.estimator and metric == name]
             for name in _MEANS
