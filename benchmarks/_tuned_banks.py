@@ -123,7 +123,7 @@ FAMILIES: dict[str, Family] = {
 }  # fmt: skip
 """Name -> banks: those of the recipes `singer`, `imm` and `intent-imm`, with every scale of its own."""
 
-_GRID = tuple((a, w, s) for a in (0.5, 2.0, 8.0, 30.0) for w in (0.2, 0.6) for s in (2.0, 6.0, 20.0))
+_GRID = tuple((a, w, s) for a in (1.0, 5.0, 25.0) for w in (0.2, 0.6) for s in (3.0, 12.0))
 
 
 def _rows(bank: Bank, episodes: Episodes) -> Floats:
@@ -149,7 +149,7 @@ def by_likelihood(family: Family, sensor: Sensor, episodes: Episodes, iterations
     return _climbed(lambda logs: _rows(family.make(logs, sensor), episodes), start, iterations)
 
 
-def by_rms(family: Family, sensor: Sensor, episodes: Episodes, likeliest: Floats, evaluations: int = 150) -> Floats:
+def by_rms(family: Family, sensor: Sensor, episodes: Episodes, likeliest: Floats, evaluations: int = 120) -> Floats:
     """Logs of scales with the smallest RMS position error on training episodes; (K,)."""
 
     def cost(logs: Floats) -> float:

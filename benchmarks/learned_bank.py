@@ -6,7 +6,8 @@ that was trained on the scenario. Tuned on the same 64 x 150 rows, all scales fr
 Oracle: library motions told the true intent of every row. Truth is that of the time of sight; 95 % intervals, paired
 over episodes. What was tuned is kept in --tuned and not tuned again.
 
-python benchmarks/learned_bank.py --runs 300 --models DIR --tuned tuned.json --out learned_bank.json --markdown
+python benchmarks/learned_bank.py --runs 300 --models DIR --tuned tuned.json --out learned_bank.json
+python benchmarks/learned_bank.py --table learned_bank.json     # of each bank the better of both tunings
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from jink.envs.scenario import Scenario
 from jink.envs.scenarios import SUITES, make_scenario
 from jink.envs.streams import make_streams
 from jink.estimators.api import BankEstimator, Estimates
+from jink.estimators.bank import Bank
 from jink.estimators.extrapolation import rows_of
 from jink.estimators.inputs import Prior
 from jink.estimators.metrics import errors, nees
@@ -40,7 +42,7 @@ from jink.intent.model_file import MODEL_FILE, load_model
 from jink.intent.pretrained import load_pretrained
 from jink.training.cli import main as jink
 from jink.training.console import progress
-from jink.training.intervals import Statistic
+from jink.training.intervals import Measured, Statistic
 from jink.training.weighted import mean, ratio, root_mean
 
 LEARNT = "learnt"
@@ -200,14 +202,10 @@ class Tuned:
         return np.array(self.found[key])
 
 
-def study(scenario: Scenario, given, advance) -> dict[str, Run]:  # type: ignore[no-untyped-def]
-    """All rows of one scenario."""
+def tuned_banks(scenario: Scenario, given, advance) -> tuple[dict[str, BankEstimator], Bank]:  # type: ignore[no-untyped-def]
+    """Banks of library motions and the oracle's, scales chosen on the training episodes or read."""
     training, tuned, sensor = training_episodes(scenario.id), Tuned(given.tuned), scenario.sensor
-    episodes = simulate_runs(scenario, given.runs, given.seed)
     banks: dict[str, BankEstimator] = {}
-    model = find_or_train(scenario.id, given.models, given.fresh)
-    banks[LEARNT] = make_estimator("intent-imm", sensor, model=model)
-    advance(text=f"{scenario.id}: {LEARNT}")
     for name, family in FAMILIES.items():
         key = f"{scenario.id}, {name}"
         likeliest = tuned.get(f"{key}, likelihood", lambda family=family: by_likelihood(family, sensor, training))
@@ -218,14 +216,24 @@ def study(scenario: Scenario, given, advance) -> dict[str, Run]:  # type: ignore
         for how, logs in (("likelihood", likeliest), ("RMS", closest)):
             banks[f"{name}, {how}"] = BankEstimator(family.make(logs, sensor), name=name)
         advance(text=f"{scenario.id}: {name}")
+    family = oracle_family(scenario.intents)
+    logs = tuned.get(f"{scenario.id}, {ORACLE}", lambda: oracle_scales(family, sensor, training))
+    advance(text=f"{scenario.id}: oracle")
+    return banks, family.make(logs, sensor)
+
+
+def study(scenario: Scenario, given, advance) -> dict[str, Run]:  # type: ignore[no-untyped-def]
+    """All rows of one scenario."""
+    banks, told = tuned_banks(scenario, given, advance)
+    model = find_or_train(scenario.id, given.models, given.fresh)
+    banks = {LEARNT: make_estimator("intent-imm", scenario.sensor, model=model), **banks}
+    advance(text=f"{scenario.id}: {LEARNT}")
+    episodes = simulate_runs(scenario, given.runs, given.seed)
     runs = {
         name: judge(follow(bank, episodes), episodes, bank, min(given.forecasts, given.runs))
         for name, bank in banks.items()
     }
-    family = oracle_family(scenario.intents)
-    logs = tuned.get(f"{scenario.id}, {ORACLE}", lambda: oracle_scales(family, sensor, training))
-    runs[ORACLE] = judge(run_oracle(family.make(logs, sensor), episodes), episodes, None, 0)
-    advance(text=f"{scenario.id}: oracle")
+    runs[ORACLE] = judge(run_oracle(told, episodes), episodes, None, 0)
     return runs
 
 
@@ -253,20 +261,73 @@ def raw(episodes: Episodes) -> float:
     return float(np.sqrt(np.nanmean(np.square(episodes.measurements - episodes.truth.position).sum(axis=2))))
 
 
+def known_rows(path: Path | None) -> dict[str, Measured]:
+    """Numbers of other scenarios that a file holds already."""
+    if path is None or not path.exists():
+        return {}
+    return {name: Measured(**row) for name, row in json.loads(path.read_text())["rows"].items()}
+
+
+TABLES = {
+    "position, m": ("position", (ORACLE, *FAMILIES)),
+    "velocity, m/s": ("velocity", (ORACLE, *FAMILIES)),
+    "largest error in 20 rows after a switch, m": ("peak", (ORACLE, *FAMILIES)),
+    "mean NLL of forecasts of 1 to 20 rows, nats": ("nll", tuple(FAMILIES)),
+    "error 5 rows ahead, m": ("ahead 5", tuple(FAMILIES)),
+    f"error {AHEAD} rows ahead, m": (f"ahead {AHEAD}", tuple(FAMILIES)),
+    "minADE, m": ("ade", tuple(FAMILIES)),
+    "minFDE, m": ("fde", tuple(FAMILIES)),
+    "NEES over 4": ("nees", (ORACLE, *FAMILIES)),
+    "NIS over its dof": ("nis", (ORACLE, *FAMILIES)),
+    "nats per row": ("nats", (ORACLE, *FAMILIES)),
+}
+
+
+def print_tables(path: Path) -> None:
+    """One table per measure in Markdown: learnt, and how much more the others have, each at its better tuning."""
+    numbers = known_rows(path)
+    scenarios = list(dict.fromkeys(name.split("/")[0] for name in numbers))
+    for title, (measure, columns) in TABLES.items():
+        rows = []
+        for scenario in scenarios:
+            cells = [scenario, shown(numbers[f"{scenario}/{measure}/{LEARNT}/value"])]
+            for column in columns:
+                ways = [column] if column == ORACLE else [f"{column}, {how}" for how in ("likelihood", "RMS")]
+                keys = [f"{scenario}/{measure}/{way}" for way in ways]
+                sign = -1.0 if measure == "nats" else 1.0
+                best = min(keys, key=lambda key: sign * numbers[f"{key}/value"].value)
+                if measure in ("nees", "nis"):
+                    best = min(keys, key=lambda key: abs(numbers[f"{key}/value"].value - 1.0))
+                    cells.append(short(numbers[f"{best}/value"].value))
+                    continue
+                cells.append(shown(numbers[f"{best}/difference"], "+", 2))
+            rows.append(cells)
+        names = ["told the intent" if column == ORACLE else column for column in columns]
+        show(title, ["scenario", LEARNT, *names], rows, True)
+
+
 def main() -> None:
     """Train or load, tune, run, print, save."""
     options = parser(__doc__, 300)
     options.add_argument("--models", type=Path, default=Path("learned_bank_models"), help="models by scenario")
     options.add_argument("--tuned", type=Path, help="JSON of tuned scales, read and written")
+    options.add_argument("--tune", action="store_true", help="only tune, into --tuned")
     options.add_argument("--fresh", action="store_true", help="train every model again")
     options.add_argument("--only", nargs="*", choices=SUITES["switch"], default=list(SUITES["switch"]))
-    options.add_argument("--forecasts", type=int, default=100, help="episodes to forecast in")
-    options.add_argument("--evaluations", type=int, default=150, help="of RMS, per bank and scenario")
+    options.add_argument("--forecasts", type=int, default=50, help="episodes to forecast in")
+    options.add_argument("--evaluations", type=int, default=120, help="of RMS, per bank and scenario")
+    options.add_argument("--table", type=Path, help="print the tables of these numbers and end")
     given = options.parse_args()
-    numbers = {}
+    if given.table:
+        print_tables(given.table)
+        return
+    numbers = known_rows(given.out)
     for name in given.only:
         scenario = make_scenario(name)
         with progress(name, len(FAMILIES) + 2) as advance:
+            if given.tune:
+                tuned_banks(scenario, given, advance)
+                continue
             runs = study(scenario, given, advance)
         measured = raw(simulate_runs(scenario, given.runs, given.seed))
         gaps = gaps_of(runs, (*MEASURES, *FORECASTS), given.seed)
