@@ -9,8 +9,9 @@ import pytest
 from jink.envs.scene_library import get_scene
 from jink.envs.scenery.scene_scans import scene_scans
 from jink.envs.scenes import simulate_scene
+from jink.estimators.markov import MarkovChain
 from jink.estimators.metrics import gospa
-from jink.estimators.motions.cartesian import constant_velocity
+from jink.estimators.motions import constant_velocity, known_turn
 from jink.estimators.multitarget.gnn import Gnn, assign
 from jink.estimators.multitarget.jpda import Jpda, marginals
 from jink.estimators.multitarget.one_scan import Candidates
@@ -128,6 +129,29 @@ def test_one_sure_target_is_a_kalman_filter(tracker):
     np.testing.assert_allclose(tracks.cov, covs, rtol=1e-8, atol=1e-10)
 
 
+@pytest.mark.parametrize("tracker", [Gnn, Jpda])
+def test_identical_modes_are_one_motion_and_a_bank_follows_a_turn(tracker):
+    rng = np.random.default_rng(6)
+    times = np.arange(40.0)
+    angle = 0.15 * times
+    path = 100 * np.stack([np.sin(angle), 1 - np.cos(angle)], axis=1)
+    sensor = ScanSensor(position(2, sigma=2.0), detection=0.9, clutter=0.5, volume=1e5)
+    scans = Scans.from_arrays(times, [p[None] + 2 * rng.normal(size=(1, 2)) for p in path], sensor)
+    known = KnownTracks([[0.0, 0.0, 15.0, 0.0]], np.diag([4.0, 4, 1, 1]), 0.0)
+    one = tracker(MOTION, initiation=None).run(scans, known)
+    same = tracker([MOTION, MOTION], MarkovChain.per_step([[0.9, 0.1], [0.2, 0.8]]), initiation=None).run(scans, known)
+    np.testing.assert_allclose(same.mean, one.mean, atol=1e-8)
+    np.testing.assert_allclose(same.cov, one.cov, atol=1e-8)
+    bank = [known_turn(rate, acceleration_density=0.01) for rate in (0.0, 0.15, -0.15)]
+    off = {}
+    for name, motion in (("bank", bank), ("straight", bank[0]), ("one", MOTION)):
+        got = tracker(motion, initiation=None).run(scans, known)
+        off[name] = np.sqrt(np.square(got.mean[:, :2] - path).sum(axis=1).mean())
+        if name == "bank":
+            assert got.mode_probs[-1].argmax() == 1
+    assert off["bank"] < 0.8 * off["one"] < off["straight"]
+
+
 def test_jpda_keeps_the_moments_of_the_mixture():
     """One target, three detections in clutter: mean and covariance of the four possible posteriors."""
     sensor = ScanSensor(position(2, (2.0, 3.0)), detection=0.7, clutter=5.0, volume=2000.0)
@@ -223,6 +247,8 @@ def test_a_loop_of_steps_is_a_run():
 
 def test_refusals():
     with pytest.raises(ValueError, match="Gnn: motion must be one Motion"):
-        Gnn((MOTION, MOTION))
+        Gnn("constant-velocity")
+    with pytest.raises(ValueError, match="chain must have one state per motion"):
+        Gnn(MOTION, MarkovChain.per_step([[0.9, 0.1], [0.2, 0.8]]))
     with pytest.raises(ValueError, match="gate > 0"):
         Jpda(MOTION, gate=-1.0)

@@ -31,7 +31,7 @@ class ManyScales:
         axes: space dimensions.
         acceleration: typical, m/s^2.
         speed: typical along an axis, m/s.
-        turn_rate: of the turns of a bank, rad/s; None: no bank.
+        turn_rate: of the turns of a bank, rad/s, both ways; several: a pair of turns for each; None: no bank.
         sojourn: mean time between changes of a bank's mode, s.
         window: scans that PMHT explains together.
         gate: standard deviations beyond which a detection is no candidate.
@@ -42,7 +42,7 @@ class ManyScales:
     axes: int
     acceleration: float
     speed: float
-    turn_rate: float | None = None
+    turn_rate: float | tuple[float, ...] | None = None
     sojourn: float = 10.0
     window: int = 10
     gate: float = 5.0
@@ -55,6 +55,17 @@ class ManyScales:
         return constant_velocity(self.axes, acceleration_density=self.acceleration**2)
 
     @property
+    def motions(self) -> tuple[tuple[Motion, ...], MarkovChain | None]:
+        """Straight flight and turns to both sides with their chain; without a turn rate the one motion."""
+        if self.turn_rate is None:
+            return (self.motion,), None
+        rates = (self.turn_rate,) if isinstance(self.turn_rate, int | float) else self.turn_rate
+        every = (0.0, *(sign * rate for rate in rates for sign in (1.0, -1.0)))
+        quiet = max(WOBBLE * self.acceleration, 1e-9) ** 2
+        bank = tuple(known_turn(rate, acceleration_density=quiet) for rate in every)
+        return bank, MarkovChain.from_sojourns([self.sojourn] * len(bank))
+
+    @property
     def initiation(self) -> Initiation:
         """How tracks begin and end."""
         return Initiation(speed=self.speed, patience=self.patience)
@@ -63,21 +74,17 @@ class ManyScales:
 def pmht(scales: ManyScales) -> Pmht:
     """Probabilistic multi-hypothesis tracker: a window of scans explained together by EM; a bank with a turn rate."""
     options = {"window": scales.window, "gate": scales.gate**2, "initiation": scales.initiation}
-    if scales.turn_rate is None:
-        return Pmht(scales.motion, **options)  # type: ignore[arg-type]
-    quiet = max(WOBBLE * scales.acceleration, 1e-9) ** 2
-    bank = [known_turn(rate, acceleration_density=quiet) for rate in (0.0, scales.turn_rate, -scales.turn_rate)]
-    return Pmht(bank, MarkovChain.from_sojourns([scales.sojourn] * 3), **options)  # type: ignore[arg-type]
+    return Pmht(*scales.motions, **options)  # type: ignore[arg-type]
 
 
 def gnn(scales: ManyScales) -> Gnn:
     """Global nearest neighbour: each track takes the detection of the best joint assignment."""
-    return Gnn(scales.motion, gate=scales.gate**2, initiation=scales.initiation)
+    return Gnn(*scales.motions, gate=scales.gate**2, initiation=scales.initiation)
 
 
 def jpda(scales: ManyScales) -> Jpda:
     """Joint probabilistic data association: each track takes every detection by its probability."""
-    return Jpda(scales.motion, gate=scales.gate**2, initiation=scales.initiation)
+    return Jpda(*scales.motions, gate=scales.gate**2, initiation=scales.initiation)
 
 
 def distributed_pmht(scales: ManyScales) -> OpenNetwork:

@@ -20,7 +20,7 @@ from jink.training.weighted import mean
 
 __all__ = ["CUTOFF", "MANY_CELLS", "QUICK", "RUNS", "ManyCell", "run_many"]
 
-CUTOFF, RUNS = 200.0, 10
+CUTOFF, RUNS = 200.0, 50
 QUICK = ("crossing-v0", "parallel-v0", "births-v0")
 _USUAL = (1.0, 50.0)
 _SCALES = {
@@ -28,6 +28,10 @@ _SCALES = {
     "consensus-network-v0": (4.0, 20.0),
 }  # fmt: skip
 """Acceleration, m/s^2, and speed, m/s, that trackers are told of scenes whose targets do not all fly straight."""
+_TURNS = {
+    "manoeuvring-crossing-v0": ((3.0 * np.pi / 180,), 10.0), "three-targets-v0": ((np.pi / 180, 3.0 * np.pi / 180), 60.0),
+}  # fmt: skip
+"""Rates, rad/s, and sojourn, s, of the bank of turns that every tracker gets where targets manoeuvre."""
 
 
 class ManyCell(NamedTuple):
@@ -40,7 +44,8 @@ class ManyCell(NamedTuple):
     def scales(self) -> ManyScales:
         """What the tracker is told; clutter and detection probability it knows."""
         acceleration, speed = _SCALES.get(self.scene, _USUAL)
-        return ManyScales(SCENES[self.scene].axes, acceleration, speed, patience=np.inf)
+        rates, sojourn = _TURNS.get(self.scene, (None, 10.0))
+        return ManyScales(SCENES[self.scene].axes, acceleration, speed, rates, sojourn, patience=np.inf)
 
 
 MANY_CELLS = tuple(ManyCell(scene, name) for scene in SCENES for name in MANY if name not in NETWORKED)

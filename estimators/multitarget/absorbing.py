@@ -6,9 +6,9 @@ import numpy as np
 
 from jink.estimators.compiled import entry_kernel
 from jink.estimators.linalg import wrap_angle
-from jink.estimators.multitarget.bank_smoothing import _merge
+from jink.estimators.multitarget.bank_smoothing import merge
 from jink.estimators.multitarget.seeing import linearise_one
-from jink.estimators.multitarget.smoothing import centroid_update
+from jink.estimators.multitarget.smoothing import PLAIN, centroid_update
 
 __all__ = ["absorb"]
 
@@ -30,12 +30,12 @@ def absorb(moving, sensing, s, place, noise, detections, choice, jm, jP, probs):
     D, d = detections.shape[1], sensing.sizes[s]
     mean, cov, posterior = jm.copy(), jP.copy(), probs.copy()
     kin, above, below, seen, H = np.zeros(place.size), np.zeros(D), np.zeros(D), np.zeros(D), np.zeros((D, n))
-    L, gain, HP, e, pull = np.zeros((D, D)), np.zeros((D, n)), np.zeros((D, n)), np.zeros(D), np.zeros(D)
+    small, gain, HP, e, pull = np.zeros((2, D, D)), np.zeros((D, n)), np.zeros((D, n)), np.zeros(D), np.zeros(D)
     spread, x, P = np.zeros((D, D)), np.zeros(n), np.zeros((n, n))
     for m in range(M):
         if choice[m] < 0:
             continue
-        _merge(probs[m], jm[m], jP[m], x, P)
+        merge(probs[m], jm[m], jP[m], x, P)
         linearise_one(moving, sensing, s, place, x, kin, above, below, seen, H)
         for a in range(d):
             pull[a] = detections[choice[m], a] - seen[a]
@@ -44,7 +44,7 @@ def absorb(moving, sensing, s, place, noise, detections, choice, jm, jP, probs):
         top = -np.inf
         for j in range(J):
             density, _ = centroid_update(
-                jm[m, j], jP[m, j], H, noise, d, 1.0, pull, x, spread, False, L, gain, HP, e, mean[m, j], cov[m, j]
+                jm[m, j], jP[m, j], H, noise, d, 1.0, pull, x, spread, PLAIN, small, gain, HP, e, mean[m, j], cov[m, j]
             )
             posterior[m, j] = density + np.log(max(probs[m, j], 1e-9))
             top = max(top, posterior[m, j])

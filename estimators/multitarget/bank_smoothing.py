@@ -18,13 +18,13 @@ from jink.estimators.compiled import inner_kernel
 from jink.estimators.multitarget.small import factorise, sandwich, solve_rows, symmetrise
 from jink.estimators.multitarget.smoothing import centroid_update
 
-__all__ = ["smooth_bank"]
+__all__ = ["merge", "mix", "smooth_bank"]
 
 _LEAST = 1e-9
 
 
 @inner_kernel
-def _merge(probs, means, covs, mean, cov):
+def merge(probs, means, covs, mean, cov):
     """Moments of a mixture."""
     J, n = means.shape
     for a in range(n):
@@ -52,7 +52,7 @@ def smooth_bank(
         chain: mode probabilities after that step given those before it, row = from; (K, J, J).
         prior_mean, prior_cov, prior_probs: prediction of each mode at scan ``begin``; (J, n), (J, n, n), (J,).
         begin, sensor, sizes, noise, H, mass, pull, at, spread, corrected: as `smooth_target`.
-        small, rows, vectors, squares, mixed_mean, mixed_cov, log_probs: scratch; (D, D), (3, D, n), (6, max(n, D)),
+        small, rows, vectors, squares, mixed_mean, mixed_cov, log_probs: scratch; (2, D, D), (3, D, n), (6, max(n, D)),
             (4, n, n), (2, J, n), (2, J, n, n), (J,).
         jm, jP, probs: predictions by mode and their probabilities; (K, J, n), (K, J, n, n), (K, J).
         pm, pP, fm, fP, sm, sP: predicted, filtered, smoothed moments over all modes; (K, n), (K, n, n).
@@ -61,7 +61,7 @@ def smooth_bank(
         0.0 (no path of a mixture has a density in closed form), and how many updates found no covariance.
     """
     K, J, n = jm.shape
-    L, gain, HP, e = small, rows[0], rows[1], vectors[0]
+    gain, HP, e = rows[0], rows[1], vectors[0]
     product, X, G, extra = squares[0], squares[1], squares[2], squares[3]
     updated_mean, updated_cov = mixed_mean[1], mixed_cov[1]
     trouble = 0
@@ -74,12 +74,12 @@ def smooth_bank(
                     jm[k, j, a] = prior_mean[j, a]
                     for b in range(n):
                         jP[k, j, a, b] = prior_cov[j, a, b]
-        _merge(probs[k], jm[k], jP[k], pm[k], pP[k])
+        merge(probs[k], jm[k], jP[k], pm[k], pP[k])
         top = -np.inf
         for j in range(J):
             density, good = centroid_update(
                 jm[k, j], jP[k, j], H[k], noise[k], sizes[sensor[k]], mass[k], pull[k], at[k], spread[k], corrected,
-                L, gain, HP, e, updated_mean[j], updated_cov[j],
+                small, gain, HP, e, updated_mean[j], updated_cov[j],
             )  # fmt: skip
             if not good:
                 trouble += 1
@@ -91,13 +91,13 @@ def smooth_bank(
             total += log_probs[j]
         for j in range(J):
             log_probs[j] /= total
-        _merge(log_probs, updated_mean, updated_cov, fm[k], fP[k])
+        merge(log_probs, updated_mean, updated_cov, fm[k], fP[k])
         if k + 1 < K:
             for i in range(J):
                 probs[k + 1, i] = 0.0
                 for j in range(J):
                     probs[k + 1, i] += log_probs[j] * chain[k + 1, j, i]
-                _mix(log_probs, chain[k + 1], i, probs[k + 1, i], updated_mean, updated_cov, mixed_mean[0, i],
+                mix(log_probs, chain[k + 1], i, probs[k + 1, i], updated_mean, updated_cov, mixed_mean[0, i],
                      mixed_cov[0, i])  # fmt: skip
                 for a in range(n):
                     jm[k + 1, i, a] = 0.0
@@ -107,7 +107,7 @@ def smooth_bank(
                 for a in range(n):
                     for b in range(n):
                         jP[k + 1, i, a, b] += Q[i, k + 1, a, b]
-            _merge(probs[k + 1], jm[k + 1], jP[k + 1], pm[k + 1], pP[k + 1])
+            merge(probs[k + 1], jm[k + 1], jP[k + 1], pm[k + 1], pP[k + 1])
             for a in range(n):
                 for b in range(n):
                     sP[k, a, b] = 0.0
@@ -152,7 +152,7 @@ def smooth_bank(
 
 
 @inner_kernel
-def _mix(probs, chain, i, prob, means, covs, mean, cov):
+def mix(probs, chain, i, prob, means, covs, mean, cov):
     """Moments that mode ``i`` starts a step from; ``prob`` is its probability after the step."""
     J, n = means.shape
     for a in range(n):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from jink.estimators.compiled import entry_kernel, inner_kernel
-from jink.estimators.multitarget.bank_smoothing import _merge, _mix, smooth_bank
-from jink.estimators.multitarget.exclusive import exclude
+from jink.estimators.multitarget.bank_smoothing import merge, mix, smooth_bank
+from jink.estimators.multitarget.exclusive import MOST_EVENTS, exclude
+from jink.estimators.multitarget.extrinsic import extrinsic_densities
 from jink.estimators.multitarget.pmht_kernels import (
     centroids,
     densities,
@@ -19,7 +20,7 @@ from jink.estimators.multitarget.pmht_kernels import (
 from jink.estimators.multitarget.scoring import score_tracks
 from jink.estimators.multitarget.seeing import linearise, linearise_one, move_tables, step_tables
 from jink.estimators.multitarget.small import sandwich
-from jink.estimators.multitarget.smoothing import smooth_target
+from jink.estimators.multitarget.smoothing import AROUND, CORRECTED, PLAIN, smooth_target
 
 __all__ = ["fit_window", "foresee", "score_newest"]
 
@@ -44,7 +45,7 @@ def _set_priors(detected, density, volume, missed_rule, log_target, log_clutter)
 def fit_window(
     moving, sensing, times, origin, sensor, places, noise, detections, offsets, begin,
     prior_mean, prior_cov, prior_probs, chain, means, covs, gates, detected, density, volume,
-    iterations, tolerance, inflations, log_shares, scales, updated, missed_rule, rounds, corrected, adaptive,
+    iterations, tolerance, inflations, log_shares, scales, updated, missed_rule, rounds, corrected, adaptive, extrinsic,
 ):  # fmt: skip
     """EM over K scans for M targets with J modes.
 
@@ -66,6 +67,7 @@ def fit_window(
         rounds: 0: PMHT; else at most one detection per target, with so many exchanges.
         corrected: the last pass adds the uncertainty of the assignment to covariances.
         adaptive: in so many first iterations the density is ``N(z; h(x), H P H' + R)``.
+        extrinsic: afterwards it is that of `extrinsic_densities`, and updates are those of data association.
 
     Returns:
         objective of each iterate from the first M-step on (NaN where there was none; (iterations,)), pairs as begins
@@ -94,13 +96,13 @@ def fit_window(
     log_target, log_clutter = np.zeros((K, M)), np.zeros(K)
     _set_priors(detected, density, volume, missed_rule, log_target, log_clutter)
     residual, log_density, ratio, weight = np.zeros((P, D)), np.zeros(P), np.zeros(P), np.zeros(P)
-    message, peak, total = np.zeros(P), np.zeros(N), np.zeros(N)
+    peak, total = np.zeros(N), np.zeros(N)
     mass, hits, pull, spread = np.zeros((M, K)), np.zeros((M, K)), np.zeros((M, K, D)), np.zeros((M, K, D, D))
-    small, rows, vectors = np.zeros((D, D)), np.zeros((3, D, n)), np.zeros((6, wide))
-    squares, at, second = np.zeros((4, n, n)), np.zeros((M, K, n)), np.zeros((D, D))
+    small, rows, vectors = np.zeros((2, D, D)), np.zeros((3, D, n)), np.zeros((6, wide))
+    squares, at, blocks = np.zeros((4, n, n)), np.zeros((M, K, n)), np.zeros((5, D, D))
     mixed_mean, mixed_cov, log_probs = np.zeros((2, J, n)), np.zeros((2, J, n, n)), np.zeros(J)
     jm, jP, probs = np.zeros((M, K, J, n)), np.zeros((M, K, J, n, n)), np.ones((M, K, J))
-    pm, pP = np.zeros((K, n)), np.zeros((K, n, n))
+    pm, pP = np.zeros((M, K, n)), np.zeros((M, K, n, n))
     fm, fP = np.zeros((M, K, n)), np.zeros((M, K, n, n))
     last_mean, last_cov, last_probs = np.zeros((M, J, n)), np.zeros((M, J, n, n)), np.ones((M, J))
     objective = np.full(iterations, np.nan)
@@ -114,7 +116,12 @@ def fit_window(
         if turn < adaptive:
             predictive_densities(
                 detections, sensor, sensing.sizes, sensing.angular, noise, seen, H, covs, begins, pairs,
-                small, second, rows[1], residual, log_density, ratio,
+                small[0], small[1], rows[1], residual, log_density, ratio,
+            )  # fmt: skip
+        elif extrinsic:
+            extrinsic_densities(
+                detections, sensor, sensing.sizes, sensing.angular, whiten, log_norm, seen, H, begin, begins, pairs,
+                means, covs, pm, pP, fm, fP, mass, tau, rows[0], vectors, blocks, residual, log_density, ratio,
             )  # fmt: skip
         else:
             densities(
@@ -135,12 +142,12 @@ def fit_window(
                 for m in range(M):
                     for p in range(begins[k * M + m], begins[k * M + m + 1]):
                         log_density[p] += np.log(max(detected[k, m], 1e-300))
-            exclude(offsets, begins, pairs, log_density, 1.0 - detected, density, rounds, total, message, weight)
+            exclude(offsets, begins, pairs, log_density, 1.0 - detected, density, rounds, MOST_EVENTS, weight)
         if updated:
             posterior_priors(offsets, begins, weight, log_target, log_volume, log_clutter)
         centroids(begins, pairs, sensing.sizes, sensor, residual, weight, ratio, mass, pull, spread, hits)
         at[:] = means
-        energy, trouble, final = 0.0, 0, corrected and last
+        energy, trouble, final = 0.0, 0, AROUND if extrinsic else CORRECTED if corrected and last else PLAIN
         for m in range(M):
             if begin[m] >= K:
                 continue
@@ -149,19 +156,20 @@ def fit_window(
                 one, bad = smooth_target(
                     moving, times, F[table], Q[table], prior_mean[m, 0], prior_cov[m, 0], begin[m], sensor,
                     sensing.sizes, noise, H[m], mass[m], pull[m], at[m], spread[m], final,
-                    small, rows, vectors, squares, pm, pP, fm[m], fP[m], means[m], covs[m],
+                    small, rows, vectors, squares, pm[m], pP[m], fm[m], fP[m], means[m], covs[m],
                 )  # fmt: skip
                 for k in range(begin[m], K):
                     for a in range(n):
-                        jm[m, k, 0, a] = pm[k, a]
+                        jm[m, k, 0, a] = pm[m, k, a]
                         for b in range(n):
-                            jP[m, k, 0, a, b] = pP[k, a, b]
+                            jP[m, k, 0, a, b] = pP[m, k, a, b]
                 last_mean[m, 0], last_cov[m, 0] = fm[m, K - 1], fP[m, K - 1]
             else:
                 one, bad = smooth_bank(
                     F, Q, chain, prior_mean[m], prior_cov[m], prior_probs[m], begin[m], sensor, sensing.sizes, noise,
                     H[m], mass[m], pull[m], at[m], spread[m], final, small, rows, vectors, squares,
-                    mixed_mean, mixed_cov, log_probs, jm[m], jP[m], probs[m], pm, pP, fm[m], fP[m], means[m], covs[m],
+                    mixed_mean, mixed_cov, log_probs, jm[m], jP[m], probs[m], pm[m], pP[m], fm[m], fP[m],
+                    means[m], covs[m],
                 )  # fmt: skip
                 last_mean[m], last_cov[m], last_probs[m] = mixed_mean[1], mixed_cov[1], log_probs
             energy += one
@@ -198,11 +206,11 @@ def foresee(moving, chain, dt, last_mean, last_cov, last_probs):
         for i in range(J):
             for j in range(J):
                 probs[m, i] += last_probs[m, j] * chain[j, i]
-            _mix(last_probs[m], chain, i, probs[m, i], last_mean[m], last_cov[m], mixed_mean, mixed_cov)
+            mix(last_probs[m], chain, i, probs[m, i], last_mean[m], last_cov[m], mixed_mean, mixed_cov)
             step_tables(moving, i, mixed_mean, dt, above, below, jm[m, i], F, Q)
             sandwich(F, mixed_cov, n, product, jP[m, i])
             jP[m, i] += Q
-        _merge(probs[m], jm[m], jP[m], mean[m], cov[m])
+        merge(probs[m], jm[m], jP[m], mean[m], cov[m])
     return jm, jP, probs, mean, cov
 
 

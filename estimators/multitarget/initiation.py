@@ -46,6 +46,8 @@ class Initiation:
         delete: evidence a confirmed track may fall below its best, nat.
         patience: a confirmed track ends after this long without a detection, s.
         merge_scans: scans in a row on top of an older track that end a track.
+        separation: targets never keep closer than this at like velocities, m: a younger track that does is a second one
+            of an extended target, whatever detections it has; 0: nothing is known.
         most: tentative tracks kept at a time, those with the most evidence.
 
     Raises:
@@ -60,12 +62,15 @@ class Initiation:
     delete: float = 10.0
     patience: float = np.inf
     merge_scans: int = 5
+    separation: float = 0.0
     most: int = 2000
 
     def __post_init__(self) -> None:
         for name in ("speed", "confirm", "drop", "delete", "patience", "merge_scans", "most", "hits"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"Initiation: {name} must be > 0; got {getattr(self, name)!r}. Use SI units and nat.")
+        if not 0 <= self.separation < np.inf:
+            raise ValueError(f"Initiation: separation must be >= 0; got {self.separation!r}. Give metres, or 0.")
         if not (self.speed < np.inf and self.hits <= self.scans < 60):
             raise ValueError(
                 f"Initiation: speed must be finite and hits <= scans < 60; got {self.speed}, {self.hits} of "
@@ -115,9 +120,9 @@ def initiate(
         return state, newest.target[:0], newest.target[:0]
     sensor = state.sensors[scan.sensor]
     values = np.ascontiguousarray(state.window.detections[state.window.offsets[-2] :])
-    owned = np.bincount(newest.detection, newest.weight, minlength=len(values))
+    spare = _spare(newest, state.tracks.hits[:, -1], len(values), estimator.assignment == "exclusive")
     state, ended = _end(estimator, state, scan, values, ahead)
-    tentative, free = _extend(estimator, state, scan, values, np.flatnonzero(owned < 0.5))
+    tentative, free = _extend(estimator, state, scan, values, spare)
     recent = tentative.history & ((1 << rules.scans) - 1)
     seen = np.array([int(bits).bit_count() for bits in recent], dtype=np.int64)
     ripe = (tentative.evidence >= rules.confirm) & (seen >= rules.hits)
@@ -136,6 +141,19 @@ def initiate(
         best = np.sort(np.argsort(-kept.evidence, kind="stable")[: rules.most])
         kept = _some(kept, best)
     return state._replace(tentative=kept), ended, begun
+
+
+def _spare(newest: Newest, hits: Array, detections: int, exclusive: bool) -> Ints:
+    """Detections that no track needs.
+
+    Where a target gives one at most, each track that was seen takes one, the surest first: of three detections that two
+    close tracks share one is spare, though each is probably somebody's.
+    """
+    if not exclusive:
+        return np.flatnonzero(np.bincount(newest.detection, newest.weight, minlength=detections) < 0.5)
+    order = np.argsort(-newest.weight, kind="stable")
+    order = order[(newest.weight[order] > 0.05) & (hits[newest.target[order]] > 0.5)]
+    return np.flatnonzero(~assign_in_order(order, newest.target, newest.detection, len(hits), detections)[1])
 
 
 def _end(
@@ -169,8 +187,8 @@ def _on_top(estimator: Pmht, tracks: TrackSet) -> NDArray[np.bool_]:
     mean, cov = kinematic_moments(
         estimator.moving, np.ascontiguousarray(tracks.means[:, -1]), np.ascontiguousarray(tracks.covs[:, -1])
     )
-    A = mean.shape[1] // 2
-    reach = 3.0 * np.sqrt(np.max(np.trace(cov[:, :A, :A], axis1=1, axis2=2)))
+    A, separation = mean.shape[1] // 2, estimator.initiation.separation if estimator.initiation else 0.0
+    reach = max(3.0 * np.sqrt(np.max(np.trace(cov[:, :A, :A], axis1=1, axis2=2))), separation)
     if not np.isfinite(mean).all() or not np.isfinite(reach):
         return twin
     for i, j in cKDTree(mean[:, :A]).query_pairs(float(reach)):
@@ -178,7 +196,9 @@ def _on_top(estimator: Pmht, tracks: TrackSet) -> NDArray[np.bool_]:
         distance = off @ np.linalg.pinv(cov[i] + cov[j]) @ off
         expected = np.maximum(tracks.detected[i], tracks.detected[j]).sum()
         together = tracks.hits[i].sum() + tracks.hits[j].sum()
-        if distance < 2 * A and together < 1.4 * max(expected, 1e-9):
+        alike = off[A:] @ np.linalg.pinv((cov[i] + cov[j])[A:, A:]) @ off[A:] < 2 * A
+        beside = alike and np.linalg.norm(off[:A]) < separation
+        if beside or (distance < 2 * A and together < 1.4 * max(expected, 1e-9)):
             twin[i if tracks.ids[i] > tracks.ids[j] else j] = True
     return twin
 

@@ -7,12 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from jink.estimators.multitarget.exclusive import exclude
+from jink.estimators.multitarget.exclusive import one_scan_weights
 from jink.estimators.multitarget.one_scan import Candidates, OneScanTracker
-from jink.estimators.multitarget.scan_kernels import joint_weights
 
 __all__ = ["Jpda", "marginals"]
 
@@ -42,33 +39,15 @@ class Jpda(OneScanTracker):
 
 def marginals(offered: Candidates, most: int = 1_000_000) -> Array:
     """Marginal probability of each pair over all joint events; (P,)."""
-    M, begins, pairs = len(offered.detected), offered.begins, offered.pairs
-    target = np.repeat(np.arange(M), np.diff(begins))
-    # One constant in all ratios of a detection cancels; without clutter lambda is a trace of the likeliest pair.
-    top = offered.log_density.max(initial=-np.inf)
-    if not np.isfinite(top):
-        return np.zeros(len(pairs))
-    clutter = max(offered.density * np.exp(-top), 1e-12)
-    ratio = offered.detected[target] * np.exp(offered.log_density - top) / clutter
-    missed = np.maximum(1.0 - offered.detected, 1e-12)
-    joined = coo_array((np.ones(len(pairs)), (target, M + pairs)), shape=(M + offered.detections,) * 2)
-    label = connected_components(joined, directed=False)[1][:M]
-    weight = np.zeros(len(pairs))
-    for cluster in np.unique(label[np.diff(begins) > 0]):
-        targets = np.flatnonzero(label == cluster)
-        if not joint_weights(begins, pairs, ratio, missed, targets, most, weight):
-            warnings.warn(
-                f"Jpda: {targets.size} targets share detections in more than {most} ways; they are weighed by belief "
-                "propagation. Use a smaller gate, or Pmht.",
-                RuntimeWarning,
-                stacklevel=2,
-            )
-            own = np.isin(target, targets)
-            found = np.zeros(len(pairs))
-            exclude(
-                np.array([0, offered.detections]), begins, pairs, np.log(np.maximum(ratio * clutter, 1e-300)),
-                np.ascontiguousarray(missed[None]), np.full(1, clutter), 50, np.zeros(offered.detections),
-                np.zeros(len(pairs)), found,
-            )  # fmt: skip
-            weight[own] = found[own]
-    return weight
+    weight, loopy = one_scan_weights(
+        offered.begins, offered.pairs, offered.log_density, offered.detected, offered.density, offered.detections, 50,
+        most,
+    )  # fmt: skip
+    if loopy:
+        warnings.warn(
+            f"Jpda: {loopy} targets share detections in more than {most} ways; they are weighed by belief "
+            "propagation. Use a smaller gate, or Pmht.",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+    return np.asarray(weight)

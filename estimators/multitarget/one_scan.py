@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jink.estimators.markov import MarkovChain
 from jink.estimators.motion import Motion
 from jink.estimators.multitarget.initiation import Initiation
 from jink.estimators.multitarget.pmht import KnownTracks, Pmht, PmhtState
@@ -45,26 +46,25 @@ class _Loop(Pmht):
     def _fit(self, state: PmhtState, window: Window, tracks: TrackSet, iterations: int) -> Fit:
         index = int(window.sensor[0])
         sensor = state.sensors[index]
-        M, _, n = tracks.means.shape
-        means = np.ascontiguousarray(tracks.prior_mean[:, :1, :])
-        covs = np.ascontiguousarray(tracks.prior_cov[:, :1])
-        ahead_mean, ahead_cov = means[:, None].copy(), covs[:, None].copy()
-        begins, pairs, log_density, residual, seen, H = find_candidates(
-            self.moving, state.sensing, index, window.places[0], window.noise, window.detections, tracks.begin, means,
-            covs, self.gate_of(sensor),
+        M = len(tracks.ids)
+        priors = tracks.prior_mean, tracks.prior_cov, tracks.prior_probs
+        ahead, spread, begins, pairs, log_density, residual, seen, H = find_candidates(
+            self.moving, state.sensing, index, window.places[0], window.noise, window.detections, tracks.begin, *priors,
+            self.gate_of(sensor),
         )  # fmt: skip
         detected = np.where(tracks.begin == 0, tracks.detected[:, 0], 0.0)
         offered = Candidates(begins, pairs, log_density, detected, sensor.density, len(window.detections))
         weight = self.choose(offered) if pairs.size else np.zeros(0)
-        trouble = soft_update(sensor.size, window.noise[0], H, begins, residual, weight, means, covs)
+        *last, means, covs, trouble = soft_update(
+            sensor.size, window.noise[0], H, begins, residual, weight, ahead, *priors
+        )
         tracks.means[:], tracks.covs[:] = means, covs
         owner = np.repeat(np.arange(M), np.diff(begins))
         hits = np.bincount(owner, weight, minlength=M).astype(np.float64)[:, None]
         mass, pull = np.zeros((M, 1)), np.zeros((M, 1, residual.shape[1]))
-        ones = np.ones((M, 1, 1))
         return Fit(
-            np.full(1, np.nan), begins, pairs, weight, hits, seen, ahead_mean, ahead_cov, ones, means, covs, means,
-            covs, ones[:, 0], mass, pull, H, np.array([1, 0, trouble]),
+            np.full(1, np.nan), begins, pairs, weight, hits, seen, *(part[:, None] for part in priors), means, covs,
+            *last, mass, pull, H, np.array([1, 0, trouble]),
         )  # fmt: skip
 
 
@@ -73,7 +73,8 @@ class OneScanTracker:
     """Kalman filters (extended for what is not linear) and one decision per scan.
 
     Args:
-        motion: how targets move; one motion.
+        motion: how targets move; several linear ones with the same state: the modes of an interacting multiple model.
+        chain: Markov chain of the modes; None: each lasts 10 s on average.
         gate: D^2 beyond which a detection is no candidate; None: all are. A sensor's own gate comes first.
         initiation: how tracks begin and end, the same as of `Pmht`; None: the known ones stay, no others come.
 
@@ -81,14 +82,17 @@ class OneScanTracker:
         ValueError: an option out of range.
     """
 
-    motion: Motion
+    motion: Motion | Sequence[Motion]
+    chain: MarkovChain | None = None
     gate: float | None = 25.0
     initiation: Initiation | None = field(default_factory=Initiation)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.motion, Motion):
+        every = (self.motion,) if isinstance(self.motion, Motion) else self.motion
+        if not isinstance(every, Sequence) or not every or not all(isinstance(one, Motion) for one in every):
             raise ValueError(
-                f"{type(self).__name__}: motion must be one Motion; got {self.motion!r}. Use constant_velocity()."
+                f"{type(self).__name__}: motion must be one Motion, or several; got {self.motion!r}. Use "
+                "constant_velocity()."
             )
         _ = self._loop
 
@@ -99,7 +103,13 @@ class OneScanTracker:
     @cached_property
     def _loop(self) -> _Loop:
         return _Loop(
-            self.motion, window=1, iterations=1, gate=self.gate, initiation=self.initiation, choose=self.weights
+            self.motion,
+            self.chain,
+            window=1,
+            iterations=1,
+            gate=self.gate,
+            initiation=self.initiation,
+            choose=self.weights,
         )
 
     def start(

@@ -109,6 +109,8 @@ class Pmht:
             which close targets share their detections and merge.
         adaptive: so many first iterations weigh detections by the prediction, ``N(z; h(x), H P H' + R)``, instead of
             R alone; 0: PMHT as published.
+        extrinsic: with exclusive assignment and without a homothetic density, later iterations weigh a scan by what all
+            others say (turbo PMHT), and the smoother takes soft detections as probabilistic data association does.
         initiation: how tracks begin and end; None: the known ones stay, no others come.
         rounds: exchanges of messages of the exclusive assignment.
 
@@ -133,6 +135,7 @@ class Pmht:
     correction: bool = True
     assignment: str = "exclusive"
     adaptive: int = 1
+    extrinsic: bool = True
     initiation: Initiation | None = field(default_factory=Initiation)
     rounds: int = 20
 
@@ -182,6 +185,11 @@ class Pmht:
     @property
     def _components(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         return ((1.0,), (1.0,)) if self.homothetic is None else self.homothetic
+
+    @cached_property
+    def _mixture(self) -> tuple[Array, Array]:
+        shares, scales = self._components
+        return np.log(np.asarray(shares, dtype=np.float64)), np.asarray(scales, dtype=np.float64)
 
     @cached_property
     def moving(self) -> Moving:
@@ -311,9 +319,12 @@ class Pmht:
 
     def _fit(self, state: PmhtState, window: Window, tracks: TrackSet, iterations: int) -> Fit:
         sensors = [state.sensors[index] for index in window.sensor]
-        steps = np.diff(window.times, prepend=window.times[0])
-        shares, scales = self._components
-        chain = np.stack([self._chain_at(dt) for dt in steps])
+        K, modes = len(window.times), len(self.modes)
+        if modes == 1:
+            chain = np.ones((K, 1, 1))
+        else:
+            steps = np.concatenate([[0.0], window.times[1:] - window.times[:-1]])
+            chain = np.stack([self._chain_at(dt) for dt in steps])
         found = fit_window(
             self.moving, state.sensing, window.times, float(window.times[0]), window.sensor, window.places,
             window.noise, window.detections, window.offsets, tracks.begin, tracks.prior_mean, tracks.prior_cov,
@@ -321,9 +332,10 @@ class Pmht:
             np.array([self.gate_of(sensor) for sensor in sensors]), np.ascontiguousarray(tracks.detected.T),
             np.array([sensor.density for sensor in sensors]), np.array([sensor.volume for sensor in sensors]),
             iterations, self.tolerance, np.asarray(self.annealing[:iterations - 1], dtype=np.float64),
-            np.log(np.asarray(shares, dtype=np.float64)), np.asarray(scales, dtype=np.float64),
+            *self._mixture,
             self.priors == "updated", self.clutter_prior == "missed",
             self.rounds if self.assignment == "exclusive" else 0, self.correction, self.adaptive,
+            self.extrinsic and self.assignment == "exclusive" and self.homothetic is None,
         )  # fmt: skip
         return Fit(*found)
 

@@ -89,8 +89,8 @@ class Outcome(NamedTuple):
         K = tracks.means.shape[1]
         there = tracks.begin <= k
         mean, cov, hits, probs = tracks.means[:, k], tracks.covs[:, k], tracks.hits[:, k], tracks.ahead_probs[:, k]
-        if k == K - 1:
-            new = tracks.begin == K
+        new = tracks.begin == K
+        if k == K - 1 and new.any():
             there = there | new
             fresh = (tracks.last_probs[:, :, None] * tracks.last_mean).sum(axis=1)
             off = tracks.last_mean - fresh[:, None]
@@ -98,9 +98,9 @@ class Outcome(NamedTuple):
             merged = (tracks.last_probs[:, :, None, None] * spread).sum(axis=1)
             mean, cov = np.where(new[:, None], fresh, mean), np.where(new[:, None, None], merged, cov)
             hits, probs = np.where(new, 1.0, hits), tracks.last_probs
-        kin_mean, kin_cov = kinematic_moments(
-            moving, np.ascontiguousarray(mean[there]), np.ascontiguousarray(cov[there])
-        )
+        elif k == K - 1:
+            probs = tracks.last_probs
+        kin_mean, kin_cov = kinematic_moments(moving, mean[there], cov[there])
         return cls(tracks.ids[there], kin_mean, kin_cov, hits[there], probs[there])
 
 
@@ -181,37 +181,39 @@ def gather(found: Sequence[Found], rest: Sequence[Outcome] | None, scans: Scans)
     )  # fmt: skip
 
 
-@entry_kernel
-def kinematic_moments(moving, means, covs):  # type: ignore[no-untyped-def]
+def kinematic_moments(moving: Moving, means: Array, covs: Array) -> tuple[Array, Array]:
     """Position and velocity of states (M, n), (M, n, n): (M, 2 A), (M, 2 A, 2 A); linearised where not components."""
+    if moving.kinematics[0] == 0:
+        index = np.asarray(moving.index)
+        return means[:, index], covs[:, index[:, None], index]
+    found: tuple[Array, Array] = _linearised(moving, np.ascontiguousarray(means), np.ascontiguousarray(covs))
+    return found
+
+
+@entry_kernel
+def _linearised(moving, means, covs):  # type: ignore[no-untyped-def]
     M, n = means.shape
     width = moving.index.size
     out, spread, slope = np.zeros((M, width)), np.zeros((M, width, width)), np.zeros((width, n))
     above, below, x = np.zeros(width), np.zeros(width), np.zeros(n)
     address, params = moving.kinematics[0], moving.params[0, : moving.counts[0]]
     for m in range(M):
-        if address == 0:
+        x[:] = means[m]
+        call_kinematics(address, x, params, out[m])
+        for c in range(n):
+            step = 1e-5 * (1.0 + abs(means[m, c]))
+            x[c] = means[m, c] + step
+            call_kinematics(address, x, params, above)
+            x[c] = means[m, c] - step
+            call_kinematics(address, x, params, below)
+            x[c] = means[m, c]
             for a in range(width):
-                out[m, a] = means[m, moving.index[a]]
-                for b in range(width):
-                    spread[m, a, b] = covs[m, moving.index[a], moving.index[b]]
-        else:
-            x[:] = means[m]
-            call_kinematics(address, x, params, out[m])
-            for c in range(n):
-                step = 1e-5 * (1.0 + abs(means[m, c]))
-                x[c] = means[m, c] + step
-                call_kinematics(address, x, params, above)
-                x[c] = means[m, c] - step
-                call_kinematics(address, x, params, below)
-                x[c] = means[m, c]
-                for a in range(width):
-                    slope[a, c] = (above[a] - below[a]) / (2.0 * step)
-            for a in range(width):
-                for b in range(width):
-                    total = 0.0
-                    for c in range(n):
-                        for e in range(n):
-                            total += slope[a, c] * covs[m, c, e] * slope[b, e]
-                    spread[m, a, b] = total
+                slope[a, c] = (above[a] - below[a]) / (2.0 * step)
+        for a in range(width):
+            for b in range(width):
+                total = 0.0
+                for c in range(n):
+                    for e in range(n):
+                        total += slope[a, c] * covs[m, c, e] * slope[b, e]
+                spread[m, a, b] = total
     return out, spread

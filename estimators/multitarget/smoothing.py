@@ -22,12 +22,15 @@ from jink.estimators.compiled import inner_kernel
 from jink.estimators.multitarget.seeing import step_tables
 from jink.estimators.multitarget.small import factorise, sandwich, solve_rows, symmetrise
 
-__all__ = ["centroid_gain", "centroid_update", "smooth_target"]
+__all__ = ["AROUND", "CORRECTED", "PLAIN", "centroid_gain", "centroid_update", "smooth_target"]
+
+PLAIN, CORRECTED, AROUND = 0, 1, 2
+"""What an update adds to a covariance for the uncertainty of the assignment; see `centroid_update`."""
 
 
 @inner_kernel
-def centroid_gain(x, P, H, R, d, mass, pull, at, L, gain, HP, e):
-    """``HP``, factor ``L`` of S, ``gain = S^-1 H P`` (d, n) and ``e`` (d,); whether S was positive definite."""
+def centroid_gain(x, P, H, R, d, mass, scale, pull, at, L, gain, HP, e):
+    """``HP``, factor ``L`` of ``S = scale H P H' + R``, ``gain = S^-1 H P``, ``e``; whether S was positive definite."""
     n = x.size
     for a in range(d):
         e[a] = pull[a]
@@ -41,7 +44,7 @@ def centroid_gain(x, P, H, R, d, mass, pull, at, L, gain, HP, e):
         for b in range(d):
             L[a, b] = R[a, b]
             for c in range(n):
-                L[a, b] += mass * HP[a, c] * H[b, c]
+                L[a, b] += scale * HP[a, c] * H[b, c]
     good = factorise(L, d, L)
     if good:
         solve_rows(L, d, gain, n)
@@ -49,7 +52,28 @@ def centroid_gain(x, P, H, R, d, mass, pull, at, L, gain, HP, e):
 
 
 @inner_kernel
-def centroid_update(x, P, H, R, d, mass, pull, at, spread, corrected, L, gain, HP, e, x_out, P_out):
+def _uncertainty(spread, corrected, mass, pull, H, d, x, at, out):
+    """Spread of the soft detections that is added to a covariance, into ``out`` (D, D).
+
+    `AROUND`: about the prediction ``h(at) + c``, ``c = H (x - at)``: ``sum w (r - c)(r - c)' - e e'``, of PDA.
+    """
+    for a in range(d):
+        for b in range(d):
+            out[a, b] = spread[a, b]
+    if corrected == AROUND:
+        for a in range(d):
+            ca = 0.0
+            for c in range(x.size):
+                ca += H[a, c] * (x[c] - at[c])
+            for b in range(d):
+                cb = 0.0
+                for c in range(x.size):
+                    cb += H[b, c] * (x[c] - at[c])
+                out[a, b] += (1.0 - mass) * (mass * ca * cb - pull[a] * cb - ca * pull[b])
+
+
+@inner_kernel
+def centroid_update(x, P, H, R, d, mass, pull, at, spread, corrected, small, gain, HP, e, x_out, P_out):
     """Update of a prediction by a centroid.
 
     Args:
@@ -57,8 +81,9 @@ def centroid_update(x, P, H, R, d, mass, pull, at, spread, corrected, L, gain, H
         H, R, d: Jacobian (D, n), noise (D, D), components in use.
         mass, pull, at: centroid and where it was linearised; scalar, (D,), (n,).
         spread: of the soft detections, see `centroids`; (D, D).
-        corrected: add ``K spread K'``, the uncertainty of the assignment, to the covariance.
-        L, gain, HP, e: scratch; (D, D), (D, n), (D, n), (D,).
+        corrected: `PLAIN`; `CORRECTED`: add ``K spread K'``, the uncertainty of the assignment, to the covariance;
+            `AROUND`: the update of probabilistic data association, ``S = H P H' + R`` whatever the mass.
+        small, gain, HP, e: scratch; (2, D, D), (D, n), (D, n), (D,).
         x_out, P_out: posterior; (n,), (n, n); must not overlap the prediction.
 
     Returns:
@@ -72,7 +97,8 @@ def centroid_update(x, P, H, R, d, mass, pull, at, spread, corrected, L, gain, H
             P_out[a, b] = P[a, b]
     if not mass > 0.0:
         return 0.0, True
-    good = centroid_gain(x, P, H, R, d, mass, pull, at, L, gain, HP, e)
+    L, shared = small[0], 1.0 if corrected == AROUND else mass
+    good = centroid_gain(x, P, H, R, d, mass, shared, pull, at, L, gain, HP, e)
     if not good:
         return 0.0, False
     for a in range(d):
@@ -81,11 +107,13 @@ def centroid_update(x, P, H, R, d, mass, pull, at, spread, corrected, L, gain, H
             for b in range(n):
                 P_out[c, b] -= mass * gain[a, c] * HP[a, b]
     if corrected:
+        extra = small[1]
+        _uncertainty(spread, corrected, mass, pull, H, d, x, at, extra)
         for a in range(d):
             for b in range(d):
                 for c in range(n):
                     for f in range(n):
-                        P_out[c, f] += gain[a, c] * spread[a, b] * gain[b, f]
+                        P_out[c, f] += gain[a, c] * extra[a, b] * gain[b, f]
     symmetrise(P_out, n)
     # e' S^-1 e by forward substitution; HP is free from here on.
     log_density, squared = 0.0, 0.0
@@ -95,21 +123,24 @@ def centroid_update(x, P, H, R, d, mass, pull, at, spread, corrected, L, gain, H
             total -= L[a, b] * HP[b, 0]
         HP[a, 0] = total / L[a, a]
         squared += HP[a, 0] * HP[a, 0]
-        log_density -= np.log(L[a, a])
+        log_density -= np.log(L[a, a]) * (mass if corrected == AROUND else 1.0)
     return log_density - 0.5 * squared / mass, True
 
 
 @inner_kernel
-def _backward_step(x, P, H, R, d, mass, pull, at, spread, corrected, L, rows, e, lam, Lam, B, product, new):
+def _backward_step(x, P, H, R, d, mass, pull, at, spread, corrected, small, rows, e, lam, Lam, B, product, new):
     """Adjoints before the update from those after it, in place; ``rows`` (3, D, n) is scratch.
 
     ``W = mass S^-1``, less ``S^-1 spread S^-1`` where the filter was corrected: ``B = I - P H' W H`` takes P- to P in
     both cases, and the recursion is the RTS smoother of the filter as it ran.
     """
     n = x.size
-    HP, solved, WH = rows[1], rows[0], rows[2]
-    if not mass > 0.0 or not centroid_gain(x, P, H, R, d, mass, pull, at, L, solved, HP, e):
+    L, HP, solved, WH = small[0], rows[1], rows[0], rows[2]
+    shared = 1.0 if corrected == AROUND else mass
+    if not mass > 0.0 or not centroid_gain(x, P, H, R, d, mass, shared, pull, at, L, solved, HP, e):
         return
+    if corrected:
+        _uncertainty(spread, corrected, mass, pull, H, d, x, at, small[1])
     for a in range(d):
         for c in range(n):
             solved[a, c] = H[a, c]
@@ -119,7 +150,7 @@ def _backward_step(x, P, H, R, d, mass, pull, at, spread, corrected, L, rows, e,
             WH[a, c] = 0.0
             if corrected:
                 for b in range(d):
-                    WH[a, c] -= spread[a, b] * solved[b, c]
+                    WH[a, c] -= small[1, a, b] * solved[b, c]
     if corrected:
         solve_rows(L, d, WH, n)
     for a in range(d):
@@ -168,14 +199,14 @@ def smooth_target(
         prior_mean, prior_cov: prediction at scan ``begin``; (n,), (n, n).
         sensor, sizes, noise: (K,), (S,), (K, D, D).
         H, mass, pull, at, spread, corrected: as `centroid_update`, per scan; (K, D, n), (K,), (K, D), (K, n), ...
-        small, rows, vectors, squares: scratch; (D, D), (3, D, n), (6, max(n, D)), (4, n, n).
+        small, rows, vectors, squares: scratch; (2, D, D), (3, D, n), (6, max(n, D)), (4, n, n).
         pm, pP, fm, fP, sm, sP: predicted, filtered, smoothed means (K, n) and covariances (K, n, n).
 
     Returns:
         ``ln p(x(begin : K))`` of the smoothed path up to a constant, and how many updates found no covariance.
     """
     K, n = pm.shape
-    L, gain, HP = small, rows[0], rows[1]
+    gain, HP = rows[0], rows[1]
     e, lam, new = vectors[0], vectors[1, :n], vectors[2, :n]
     product, Lam, B, extra = squares[0], squares[1], squares[2], squares[3]
     trouble = 0
@@ -200,7 +231,7 @@ def smooth_target(
                     pP[k, a, b] += Q[k, a, b]
         _, good = centroid_update(
             pm[k], pP[k], H[k], noise[k], sizes[sensor[k]], mass[k], pull[k], at[k], spread[k], corrected,
-            L, gain, HP, e, fm[k], fP[k],
+            small, gain, HP, e, fm[k], fP[k],
         )  # fmt: skip
         if not good:
             trouble += 1
@@ -241,7 +272,7 @@ def smooth_target(
                 sP[k, a, b] = fP[k, a, b] - extra[a, b]
         _backward_step(
             pm[k], pP[k], H[k], noise[k], sizes[sensor[k]], mass[k], pull[k], at[k], spread[k], corrected,
-            L, rows, e, lam, Lam, B, product, new,
+            small, rows, e, lam, Lam, B, product, new,
         )  # fmt: skip
         for a in range(n):
             for b in range(n):

@@ -64,18 +64,17 @@ def with_scan(window: Window, scan: Scan) -> Window:
     """The window with one more scan; detections sorted by their components."""
     size = window.detections.shape[1]
     n, d = scan.detections.shape
-    values = np.zeros((n, size))
+    values, noise = np.zeros((n, size)), np.eye(size)
     values[:, :d] = scan.detections
-    noise = np.eye(size)
     noise[:d, :d] = scan.noise
     return Window(
-        np.append(window.times, scan.time),
+        np.concatenate([window.times, [scan.time]]),
         window.origin,
-        np.append(window.sensor, scan.sensor),
-        np.vstack([window.places, scan.sensor_state[None]]),
+        np.concatenate([window.sensor, [scan.sensor]]),
+        np.concatenate([window.places, scan.sensor_state[None]]),
         np.concatenate([window.noise, noise[None]]),
-        np.vstack([window.detections, values]),
-        np.append(window.offsets, window.offsets[-1] + n),
+        np.concatenate([window.detections, values]),
+        np.concatenate([window.offsets, window.offsets[-1:] + n]),
     )
 
 
