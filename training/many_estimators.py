@@ -91,8 +91,9 @@ def distributed_pmht(scales: ManyScales) -> OpenNetwork:
     """PMHT at the nodes of a network that exchange information with their neighbours."""
     assert scales.plan is not None  # checked by the caller, which knows the option's name
     plan, node_of = scales.plan
+    motions, chain = scales.motions
     network = DistributedPmht(
-        scales.motion, plan.consensus(), node_of, window=min(scales.window, 5), gate=scales.gate**2
+        motions, plan.consensus(), node_of, window=min(scales.window, 5), gate=scales.gate**2, chain=chain
     )
     return OpenNetwork(network, scales.initiation, patience=scales.patience / 4)
 

@@ -28,9 +28,11 @@ _SCALES = {
     "consensus-network-v0": (4.0, 20.0),
 }  # fmt: skip
 """Acceleration, m/s^2, and speed, m/s, that trackers are told of scenes whose targets do not all fly straight."""
+_DEGREE = np.pi / 180
 _TURNS = {
-    "manoeuvring-crossing-v0": ((3.0 * np.pi / 180,), 10.0), "three-targets-v0": ((np.pi / 180, 3.0 * np.pi / 180), 60.0),
-}  # fmt: skip
+    "manoeuvring-crossing-v0": ((3.0 * _DEGREE,), 10.0),
+    "three-targets-v0": ((1.0 * _DEGREE, 3.0 * _DEGREE), 60.0),
+}
 """Rates, rad/s, and sojourn, s, of the bank of turns that every tracker gets where targets manoeuvre."""
 
 

@@ -138,8 +138,6 @@ def _check(request: TrackRequest) -> None:
         check_separate(path, option, inputs)
     networked = request.estimator in NETWORKED
     wrong = [name for name in UNUSED if getattr(request, name) not in (None, False)]
-    if request.turn_rate is not None and networked:
-        wrong.append("turn_rate")
     if request.sojourn is not None and request.turn_rate is None:
         wrong.append("sojourn")
     if request.smooth and request.estimator != "pmht":

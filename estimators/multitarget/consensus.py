@@ -121,7 +121,7 @@ def mixing_matrix(weights: ArrayLike, heard: ArrayLike, lag: ArrayLike | None = 
     return history[-1]
 
 
-def message_bytes(states: int, targets: int, rule: str = "b", nodes: int = 0) -> int:
+def message_bytes(states: int, targets: int, rule: str = "b", nodes: int = 0, modes: int = 1) -> int:
     """Length of one message: both pairs of every target in 8-byte reals, symmetric matrices as triangles.
 
     Args:
@@ -129,9 +129,11 @@ def message_bytes(states: int, targets: int, rule: str = "b", nodes: int = 0) ->
         targets: M.
         rule: "b" adds a real per target, "safe" the sender's row of the mixing, a real per node.
         nodes: N.
+        modes: J: a bank sends a prior pair per mode, one novelty pair, and, if J > 1, the mode probabilities.
     """
     pair = states + states * (states + 1) // 2
-    return 8 * (targets * (2 * pair + (rule == "b")) + (nodes if rule == "safe" else 0))
+    target = (modes + 1) * pair + (rule == "b") + (modes if modes > 1 else 0)
+    return 8 * (targets * target + (nodes if rule == "safe" else 0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jink.estimators.markov import MarkovChain
 from jink.estimators.motion import Motion
 from jink.estimators.multitarget.consensus import Consensus, message_bytes
+from jink.estimators.multitarget.network_bank import ModeStates, foreseen, merged
+from jink.estimators.multitarget.network_bank_step import BankStep
 from jink.estimators.multitarget.network_results import NetworkFound, NetworkTracks, gather_network
 from jink.estimators.multitarget.network_state import NetworkState, Paths, frames_of
 from jink.estimators.multitarget.network_step import NetworkStep
@@ -38,7 +41,8 @@ class DistributedPmht:
     detections with what all know; ``iterations`` times the messages.
 
     Args:
-        motion: how targets move; one motion.
+        motion: how targets move; several linear ones with the same state: the modes of a bank at every node, each with
+            a prior of its own that nodes average, and one novelty.
         consensus: weights, rounds, rule of the novelty, faults.
         node_of: node at which each sensor stands; one per sensor of the scans.
         order: one of `ORDERS`.
@@ -51,6 +55,7 @@ class DistributedPmht:
         gate: D^2 beyond which a detection is no candidate; None: all are. A sensor's own gate comes first.
         adaptive: densities of the E-step know how uncertain the state is; else the plain ones of PMHT, R alone.
         correction: what a node sends is worth less where the assignment is uncertain.
+        chain: Markov chain of the modes; None: each lasts 10 s on average.
 
     Raises:
         ValueError: an option out of range, or a node that does not exist.
@@ -59,7 +64,7 @@ class DistributedPmht:
     weights; V2, the times sent anew and the correction are ours.
     """
 
-    motion: Motion
+    motion: Motion | Sequence[Motion]
     consensus: Consensus
     node_of: Sequence[int]
     order: str = "V1"
@@ -71,8 +76,10 @@ class DistributedPmht:
     gate: float | None = 25.0
     correction: bool = True
     adaptive: bool = True
+    chain: MarkovChain | None = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "motion", (self.motion,) if isinstance(self.motion, Motion) else tuple(self.motion))
         object.__setattr__(self, "node_of", tuple(int(node) for node in self.node_of))
         if self.order not in ORDERS:
             raise ValueError(
@@ -91,10 +98,20 @@ class DistributedPmht:
             )
         if self.gate is not None and not self.gate > 0:
             raise ValueError(f"DistributedPmht: gate must be > 0; got {self.gate!r}. Use 25, or None for none.")
-        _ = self.moving
+        J = len(self.moving.linear)
+        if self.chain is not None and self.chain.modes != J:
+            raise ValueError(
+                f"DistributedPmht: chain must have one state per motion, {J}; got {self.chain.modes}. Give one row per "
+                "motion."
+            )
+        if J > 1 and self.exchanged > 1:
+            raise ValueError(
+                f"DistributedPmht: exchanged must be 1 with a bank, whose earlier modes are not kept; got "
+                f"{self.exchanged}. Leave it out."
+            )
 
     @classmethod
-    def centralised(cls, motion: Motion, sensors: int, **options: Any) -> DistributedPmht:
+    def centralised(cls, motion: Motion | Sequence[Motion], sensors: int, **options: Any) -> DistributedPmht:
         """The reference: one node that has the scans of all sensors, or of the only one, and nobody to talk to.
 
         Args:
@@ -106,8 +123,21 @@ class DistributedPmht:
 
     @cached_property
     def moving(self) -> Moving:
-        """Tables of the motion."""
-        return make_moving((self.motion,))
+        """Tables of the motions."""
+        return make_moving(self.motions)
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        """The modes."""
+        return tuple(self.motion)  # type: ignore[arg-type]
+
+    @cached_property
+    def markov(self) -> MarkovChain:
+        """Chain of the modes."""
+        count = len(self.motions)
+        if self.chain is not None:
+            return self.chain
+        return MarkovChain.from_sojourns([10.0] * count) if count > 1 else MarkovChain.per_step([[1.0]])
 
     def start(self, sensors: ScanSensor | Sequence[ScanSensor], known: KnownTracks) -> NetworkState:
         """Begin with targets that all nodes know under the same number.
@@ -120,19 +150,26 @@ class DistributedPmht:
             ValueError: sensors without a node, or space dimensions that differ.
         """
         every = (sensors,) if isinstance(sensors, ScanSensor) else tuple(sensors)
-        axes = {self.motion.axes, known.mean.shape[1] // 2, *(sensor.model.axes for sensor in every)}
+        axes = {self.motions[0].axes, known.mean.shape[1] // 2, *(sensor.model.axes for sensor in every)}
         if len(every) != len(self.node_of) or len(axes) > 1:
             raise ValueError(
                 f"DistributedPmht.start: sensors must be one per entry of node_of, {len(self.node_of)}, in the space "
                 f"of motion and targets; got {len(every)} and dimensions {sorted(axes)}. Fit them."
             )
-        N, n = self.consensus.nodes, self.motion.size
-        mean, cov = state_moments(self.motion, known.mean, known.cov)
+        N, n = self.consensus.nodes, self.motions[0].size
+        mean, cov = state_moments(self.motions[0], known.mean, known.cov)
         M = len(mean)
         return NetworkState(
             every, known.time, 0, M + 1, np.arange(1, M + 1), np.zeros(0), (), np.zeros(M, dtype=np.int64),
-            Paths.empty(N, M, n), np.tile(mean, (N, 1, 1)), np.tile(cov, (N, 1, 1, 1)),
+            Paths.empty(N, M, n), np.tile(mean, (N, 1, 1)), np.tile(cov, (N, 1, 1, 1)), self._fresh(mean, cov),
         )  # fmt: skip
+
+    def _fresh(self, mean: Array, cov: Array) -> ModeStates | None:
+        """New targets by mode, at every node; None: there is one mode."""
+        if len(self.motions) == 1:
+            return None
+        N = self.consensus.nodes
+        return ModeStates.alike(np.tile(mean, (N, 1, 1)), np.tile(cov, (N, 1, 1, 1)), self.markov.stationary())
 
     def admit(self, state: NetworkState, known: KnownTracks) -> NetworkState:
         """New targets that all nodes are told of under the same numbers; they begin at the next scans.
@@ -144,14 +181,16 @@ class DistributedPmht:
         Raises:
             ValueError: another time or space dimension.
         """
-        if known.time != state.time or known.mean.shape[1] != 2 * self.motion.axes:
+        if known.time != state.time or known.mean.shape[1] != 2 * self.motions[0].axes:
             raise ValueError(
-                f"DistributedPmht.admit: known must be of {state.time:g} s and {self.motion.axes} dimensions; got "
+                f"DistributedPmht.admit: known must be of {state.time:g} s and {self.motions[0].axes} dimensions; got "
                 f"{known.time:g} s and shape {known.mean.shape}. Predict them to the last scan."
             )
-        mean, cov = state_moments(self.motion, known.mean, known.cov)
+        mean, cov = state_moments(self.motions[0], known.mean, known.cov)
         N, more = self.consensus.nodes, len(mean)
+        fresh = self._fresh(mean, cov)
         return state._replace(
+            modes=None if state.modes is None or fresh is None else state.modes.joined(fresh),
             ids=np.append(state.ids, state.next_id + np.arange(more)),
             next_id=state.next_id + more,
             begin=np.append(state.begin, np.full(more, len(state.times))),
@@ -167,6 +206,7 @@ class DistributedPmht:
             ids=state.ids[stays],
             begin=state.begin[stays],
             paths=state.paths.of_targets(stays),
+            modes=None if state.modes is None else state.modes.of_targets(stays),
             last=np.ascontiguousarray(state.last[:, stays]),
             last_cov=np.ascontiguousarray(state.last_cov[:, stays]),
         )
@@ -195,14 +235,16 @@ class DistributedPmht:
         kept = tuple(scan for scan in scans if alive[self.node_of[scan.sensor]])
         state, retired = _slid(state) if len(state.times) == self.window else (state, None)
         state = self._extended(state, time, kept)
-        run = NetworkStep(self, state)
+        run = NetworkStep(self, state) if state.modes is None else BankStep(self, state)
         run.iterate()
-        length = message_bytes(self.motion.size, len(state.ids), self.consensus.rule, self.consensus.nodes)
+        consensus, modes = self.consensus, len(self.motions)
+        length = message_bytes(self.motions[0].size, len(state.ids), consensus.rule, consensus.nodes, modes)
         state = state._replace(
             paths=run.paths,
             last=np.ascontiguousarray(run.paths.filtered[:, :, -1]),
             last_cov=np.ascontiguousarray(run.paths.filtered_cov[:, :, -1]),
             steps=state.steps + 1,
+            modes=run.modes,
         )
         return state, NetworkFound(
             time, state.ids, state.last, state.last_cov, retired, run.messages, run.messages * length, run.exchanges,
@@ -228,6 +270,13 @@ class DistributedPmht:
     def _extended(self, state: NetworkState, time: float, scans: tuple[Scan, ...]) -> NetworkState:
         """The window with one more time, which every node predicts every target to."""
         N, M, n = state.last.shape
+        modes, dt = state.modes, time - state.time
+        if modes is not None:
+            modes, cross = foreseen(self.moving, self.markov.at(dt) if dt > 0 else np.eye(len(self.motions)), dt, modes)
+            paths = state.paths.later(*merged(modes), cross)
+            return state._replace(
+                time=time, times=np.append(state.times, time), frames=(*state.frames, scans), paths=paths, modes=modes
+            )
         x, P = predict_targets(
             self.moving, time - state.time, state.last.reshape(-1, n), state.last_cov.reshape(-1, n, n)
         )

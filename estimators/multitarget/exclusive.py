@@ -99,8 +99,11 @@ def _count_events(begins, pairs, head, follow, ratio, missed, used, product, cho
 
 @inner_kernel
 def _propagate(begins, pairs, head, follow, odds, base, missed, rounds, incoming, message, weight):
-    """Marginals of a cluster by messages ``mu_mr = psi_m(r) / (psi_m(0) + sum_r'!=r psi_m(r') nu_r'm)`` and
-    ``nu_rm = 1 / (lambda + sum_m'!=m mu_m'r)``; ``odds`` are psi, ``base`` lambda, on one scale."""
+    """Marginals of a cluster by messages.
+
+    Model: ``mu_mr = psi_m(r) / (psi_m(0) + sum_r'!=r psi_m(r') nu_r'm)``, ``nu_rm = 1 / (lambda + sum_m'!=m mu_m'r)``;
+    ``odds`` are psi, ``base`` lambda, on one scale.
+    """
     m = head
     while m >= 0:
         for p in range(begins[m], begins[m + 1]):

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from jink.estimators.multitarget.consensus import Exchange, novelty_weights
 from jink.estimators.multitarget.information_kernels import moments, predict_one
 
-__all__ = ["Information", "consensus_update", "from_moments", "predict_information", "to_moments"]
+__all__ = ["Information", "consensus_update", "from_moments", "mixed_novelty", "predict_information", "to_moments"]
 
 Array = NDArray[np.float64]
 
@@ -89,15 +89,21 @@ def consensus_update(
         posterior pairs. A node that is not alive has its prior.
     """
     q, Omega = _checked("consensus_update", prior.vector, prior.matrix)
+    found = mixed_novelty(novelty, holds, exchange, rule)
+    return Information(_mix(exchange, q) + found.vector, _mix(exchange, Omega) + found.matrix)
+
+
+def mixed_novelty(novelty: Information, holds: ArrayLike, exchange: Exchange, rule: str) -> Information:
+    """What every node adds to its mixed prior: omega times mixed novelty; arguments as of `consensus_update`."""
     dq, dOmega = _checked("consensus_update", novelty.vector, novelty.matrix)
     omega = novelty_weights(rule, exchange.mixing, np.asarray(holds, dtype=np.float64))
     # A dead node mixes nothing, so its row is its own; its sensor is dead as well.
     omega = np.where(exchange.alive[:, None], omega, 0.0)
+    return Information(omega[..., None] * _mix(exchange, dq), omega[..., None, None] * _mix(exchange, dOmega))
 
-    def mix(values: Array) -> Array:
-        return (exchange.mixing @ values.reshape(len(values), -1)).reshape(values.shape)
 
-    return Information(mix(q) + omega[..., None] * mix(dq), mix(Omega) + omega[..., None, None] * mix(dOmega))
+def _mix(exchange: Exchange, values: Array) -> Array:
+    return (exchange.mixing @ values.reshape(len(values), -1)).reshape(values.shape)
 
 
 def _checked(caller: str, vector: ArrayLike, matrix: ArrayLike) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jink.estimators.multitarget.network_bank import ModeStates
 from jink.estimators.multitarget.scan_sensor import ScanSensor
 from jink.estimators.multitarget.scans import Scan
 
@@ -26,17 +27,18 @@ class Paths(NamedTuple):
     filtered_cov: Array
     means: Array  # smoothed
     covs: Array
+    cross: Array  # cov(x of the time before, x), of banks; (N, M, T, n, n)
 
     @classmethod
     def empty(cls, nodes: int, targets: int, n: int) -> Paths:
         """A window without times."""
         path, spread = np.zeros((nodes, targets, 0, n)), np.zeros((nodes, targets, 0, n, n))
-        return cls(path, spread, path, spread, path, spread)
+        return cls(path, spread, path, spread, path, spread, spread)
 
-    def later(self, mean: Array, cov: Array) -> Paths:
-        """With one more time, predicted to (N, M, n), (N, M, n, n)."""
-        new = (mean[:, :, None], cov[:, :, None])
-        return Paths(*(np.concatenate([part, new[index % 2]], axis=2) for index, part in enumerate(self)))
+    def later(self, mean: Array, cov: Array, cross: Array | None = None) -> Paths:
+        """With one more time, predicted to (N, M, n), (N, M, n, n); its covariance with the time before, of banks."""
+        new = (mean, cov, mean, cov, mean, cov, np.zeros(cov.shape) if cross is None else cross)
+        return Paths(*(np.concatenate([part, one[:, :, None]], axis=2) for part, one in zip(self, new, strict=True)))
 
     def without_first(self) -> Paths:
         """Without the oldest time."""
@@ -69,6 +71,7 @@ class NetworkState(NamedTuple):
     paths: Paths
     last: Array  # what the last time left behind; (N, M, n)
     last_cov: Array
+    modes: ModeStates | None = None  # the same by mode, of banks
 
 
 class NodeScans(NamedTuple):

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jink.estimators.multitarget.information import Information, consensus_update, from_moments, to_moments
+from jink.estimators.multitarget.network_bank import ModeStates
 from jink.estimators.multitarget.network_state import NetworkState, NodeScans, node_scans
 from jink.estimators.multitarget.node_kernels import (
     filter_information,
@@ -35,6 +36,7 @@ class NetworkStep:
         self.tracker, self.state = tracker, state
         self.paths = state.paths.copy()
         self.messages = self.exchanges = self.trouble = 0
+        self.modes: ModeStates | None = None
         self.first = max(len(state.times) - tracker.exchanged, 0)
         self.begin = np.maximum(state.begin - self.first, 0)
         self.times = state.times[self.first :]

@@ -79,7 +79,7 @@ class OpenNetwork:
         if self.local is not None:
             return self.local
         own = self.tracker
-        return Pmht(own.motion, window=own.window, gate=own.gate, initiation=self.initiation)
+        return Pmht(own.motion, own.chain, window=own.window, gate=own.gate, initiation=self.initiation)
 
     def start(self, sensors: ScanSensor | Sequence[ScanSensor], time: float) -> OpenState:
         """Begin without targets.
@@ -88,7 +88,7 @@ class OpenNetwork:
             sensors: those that will scan.
             time: s; of the first scans.
         """
-        width = 2 * self.tracker.motion.axes
+        width = 2 * self.tracker.motions[0].axes
         nobody = KnownTracks(np.zeros((0, width)), np.eye(width), float(time))
         every = (sensors,) if isinstance(sensors, ScanSensor) else tuple(sensors)
         network = self.tracker.start(every, nobody)

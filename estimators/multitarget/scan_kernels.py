@@ -25,8 +25,8 @@ def find_candidates(moving, sensing, s, place, noise, detections, begin, jm, jP,
         gate: D^2.
 
     Returns:
-        predictions over all modes (M, 1, n), (M, 1, n, n); begins (M + 1,), pairs (P,), ``ln N(z; h(x), H P H' + R)`` (P,), residual (P, D), ``h(x)`` (M, 1, D) and its
-        Jacobian (M, 1, D, n).
+        predictions over all modes (M, 1, n), (M, 1, n, n); begins (M + 1,), pairs (P,),
+        ``ln N(z; h(x), H P H' + R)`` (P,), residual (P, D), ``h(x)`` (M, 1, D) and its Jacobian (M, 1, D, n).
     """
     M, n, D = jm.shape[0], jm.shape[2], detections.shape[1]
     mean, cov = np.zeros((M, 1, n)), np.zeros((M, 1, n, n))
