@@ -142,7 +142,7 @@ def informed(modes: ModeStates, vector: Array, matrix: Array) -> tuple[ModeState
     mean, cov = to_moments(Information(q, Omega))
     evidence = np.linalg.slogdet(prior.matrix)[1] - np.linalg.slogdet(Omega)[1]
     evidence = evidence + (q * mean).sum(axis=-1) - (prior.vector * off).sum(axis=-1)
-    bad = ~np.isfinite(mean).all(axis=-1)
+    bad = np.asarray(~np.isfinite(mean).all(axis=-1))
     mean, cov = np.where(bad[..., None], off, mean), np.where(bad[..., None, None], modes.cov, cov)
     log_probs = np.log(np.maximum(modes.probs, LEAST)) + np.where(bad, 0.0, 0.5 * evidence)
     return ModeStates(mean + centre[..., None, :], cov, _normalised(log_probs)), int(bad.sum())

@@ -55,7 +55,7 @@ class _Loop(Pmht):
         detected = np.where(tracks.begin == 0, tracks.detected[:, 0], 0.0)
         offered = Candidates(begins, pairs, log_density, detected, sensor.density, len(window.detections))
         weight = self.choose(offered) if pairs.size else np.zeros(0)
-        *last, means, covs, trouble = soft_update(
+        last_mean, last_cov, last_probs, means, covs, trouble = soft_update(
             sensor.size, window.noise[0], H, begins, residual, weight, ahead, *priors
         )
         tracks.means[:], tracks.covs[:] = means, covs
@@ -63,8 +63,8 @@ class _Loop(Pmht):
         hits = np.bincount(owner, weight, minlength=M).astype(np.float64)[:, None]
         mass, pull = np.zeros((M, 1)), np.zeros((M, 1, residual.shape[1]))
         return Fit(
-            np.full(1, np.nan), begins, pairs, weight, hits, seen, *(part[:, None] for part in priors), means, covs,
-            *last, mass, pull, H, np.array([1, 0, trouble]),
+            np.full(1, np.nan), begins, pairs, weight, hits, seen, priors[0][:, None], priors[1][:, None],
+            priors[2][:, None], means, covs, last_mean, last_cov, last_probs, mass, pull, H, np.array([1, 0, trouble]),
         )  # fmt: skip
 
 
