@@ -16,14 +16,22 @@ from jink.envs.episodes import Episodes, Source
 from jink.envs.halves import in_halves
 from jink.envs.loop_filter import LoopFilter, make_loop_filter
 from jink.envs.task import ActionError, Array, Outcome, Picture, Rows
+from jink.estimators.agent import looking
+from jink.estimators.agent.policy import COVARIANCES
 from jink.estimators.factors import Factor, make_factor
 
 __all__ = ["FACTORS_OFFERED", "LARGEST_LOG_INFLATION", "AdaptiveFactorTask"]
 
 FACTORS_OFFERED = ("none", "mr", "huber", "rma", "mahalanobis")
 """Actions of `jink/AdaptiveFactor-v0`, in order."""
-LARGEST_LOG_INFLATION = math.log(1e6)
-_LOSSES = {"distance": kernels.DISTANCE, "squared": kernels.SQUARED, "log": kernels.LOG}
+LARGEST_LOG_INFLATION = looking.LARGEST_LOG_INFLATION
+_LOSSES = {
+    "distance": kernels.DISTANCE,
+    "squared": kernels.SQUARED,
+    "log": kernels.LOG,
+    "regret": kernels.REGRET,
+    "log-regret": kernels.LOG_REGRET,
+}
 _LOWEST, _HIGHEST, _LEAST_GAIN = -10.0, 100.0, 0.1
 
 
@@ -56,6 +64,25 @@ class AdaptiveFactorTask:
 
     Averages move by a quarter and a twentieth of the difference; they include the measurement shown.
 
+    ``view="levels"`` shows 22 numbers without direction, the same for every sensor and space, with r the innovation in
+    nominal sigmas (``v' R^-1 v``), and beliefs about the noise level (`jink.estimators.agent.beliefs`):
+
+    | part | size | meaning | range |
+    |---|---|---|---|
+    | log NIS | 1 | ``ln(D^2 / d + 0.01) / 2`` | -10 .. 10 |
+    | log size | 1 | ``ln(r / d + 0.01) / 2`` | -10 .. 10 |
+    | log uncertainty | 1 | ``ln(u + 0.001) / 2``, u the mean of ``(H P H')_ii / R_ii`` | -10 .. 10 |
+    | averages | 6 | of the first and of the second, over 3, 10 and 30 detections | -10 .. 10 |
+    | along | 1 | cosine of the innovation with the drift, times the drift's length | -1 .. 1 |
+    | drift | 1 | length of the average direction of 4 innovations: near 1 in a manoeuvre | 0 .. 1 |
+    | silence | 1 | as above | 0 .. 5 |
+    | belief | 8 | probability that R is multiplied by 1, 4, 16, ..., 16 384 | 0 .. 1 |
+    | advice | 1 | log inflation (over ln 1e6) whose gain is the mean over the belief | 0 .. 1 |
+    | last inflation | 1 | log inflation used with the last measurement, over ln 1e6 | 0 .. 1 |
+
+    With ``covariance="mixture"`` the agent's filter becomes as sure of its estimate as that belief allows, instead of
+    as sure as the noise chosen says; action -1 is then not exactly the nominal filter.
+
     ## Action Space
     `Discrete`: the number of a factor: 0 none, 1 mr, 2 huber, 3 rma, 4 mahalanobis, or what ``factors`` lists
     (`jink.estimators.factors.FACTORS`). Continuous: `Box(-1, 1, (1,), float32)`; R is multiplied by a factor of 1 at
@@ -66,11 +93,13 @@ class AdaptiveFactorTask:
     ``(e_nominal - e_agent) / c``: how much closer the agent's estimate is than the nominal filter's, e the distance to
     the truth at the time of the measurement. c is the mean of ``e_nominal - e_oracle`` over the episode, so that the
     mean reward is 0 for the nominal filter (exactly: action *none*, or -1) and 1 for the oracle. c is at least a tenth
-    of sigma, the root mean nominal variance of a position component: in an episode without surges there is nothing to
-    gain, and the reward is the difference in tenths of sigma. ``reward="squared"`` and ``"log"`` use ``e^2`` and
-    ``ln(1 + e^2)`` instead, in units of sigma. A reward is cut off at -10 and 100; in scenarios where that happens the
-    oracle's mean is not exactly 1 (0.94 to 1.23). Losing the track costs 10 for each decision left, so that giving up
-    never pays. A sample whose truth is not known (recorded tracks) gives 0.
+    (``least_gain``) of sigma, the root mean nominal variance of a position component: in an episode without surges
+    there is nothing to gain, and the reward is the difference in tenths of sigma. ``reward="squared"`` and ``"log"``
+    use ``e^2`` and ``ln(1 + e^2)`` instead, in units of sigma; ``"regret"`` is ``(e_oracle - e_agent) / c``, which
+    differs from the first by what no action changes and varies far less: its mean is -1 for the nominal filter and 0
+    for the oracle; ``"log-regret"`` is the same of the logarithms. A reward is cut off at -10 and 100; in scenarios where that happens the oracle's mean is not
+    exactly 1 (0.94 to 1.23). Losing the track costs 10 for each decision left, so that giving up never pays. A sample
+    whose truth is not known (recorded tracks) gives 0.
 
     ## Starting State
     A target drawn by the scenario from the environment's generator; the filters start from what the scenario tells
@@ -83,9 +112,10 @@ class AdaptiveFactorTask:
 
     ## Arguments
     ``scenario``, ``suite`` or ``tracks`` choose what happens, other keywords change the scenario's parameters.
-    ``factors``, ``loop_filter`` ("kf", "robust", or a `jink.envs.loop_filter.LoopFilter`), ``reward``, ``lost_after``
-    (default 25) and ``lost_steps`` (default 10). The filter is linear: measurements of range and angle are converted
-    to positions with their exact moments beforehand; sensors that do not locate a target are refused.
+    ``factors``, ``loop_filter`` ("kf", "robust", or a `jink.envs.loop_filter.LoopFilter`), ``reward``, ``least_gain``
+    (default 0.1), ``lost_after`` (default 25), ``lost_steps`` (default 10), ``view`` and ``covariance``. The filter is
+    linear: measurements of range and angle are converted to positions with their exact moments beforehand; sensors
+    that do not locate a target are refused.
 
     ## Info
     Of the sample observed: ``time`` s, ``noise_scale`` (the true factor on the noise covariance), ``intent`` (its
@@ -102,9 +132,12 @@ class AdaptiveFactorTask:
         continuous: choose an inflation instead of a factor.
         factors: names or `Factor` objects, one per action.
         loop_filter: the filter in the loop.
-        reward: "distance", "squared" or "log".
+        reward: "distance", "squared", "log", "regret" or "log-regret".
         lost_after: how far off, in sigma or nominal errors, an estimate may be.
         lost_steps: decisions in a row after which the track is lost.
+        least_gain: what rewards are divided by at least, sigma.
+        view: "plain" or "levels": what is observed.
+        covariance: "chosen" or "mixture": how sure an update makes the agent's filter.
 
     Raises:
         ValueError: an unknown name, an option out of range, or a sensor that does not locate.
@@ -121,6 +154,9 @@ class AdaptiveFactorTask:
         reward: str = "distance",
         lost_after: float = 25.0,
         lost_steps: int = 10,
+        least_gain: float = _LEAST_GAIN,
+        view: str = "plain",
+        covariance: str = "chosen",
     ) -> None:
         check_locates("make", source.sensor)
         if reward not in _LOSSES:
@@ -130,6 +166,17 @@ class AdaptiveFactorTask:
                 f"make: lost_after must be > 0 sigma and lost_steps an integer >= 1; got {lost_after}, {lost_steps}. "
                 "Use math.inf for a track that is never lost."
             )
+        real = isinstance(least_gain, float | int) and not isinstance(least_gain, bool)
+        if not (real and 0 < least_gain < math.inf):
+            raise ValueError(f"make: least_gain must be > 0 sigma and finite; got {least_gain!r}. Leave it out.")
+        if view not in looking.VIEWS:
+            raise ValueError(f"make: view must be one of {', '.join(looking.VIEWS)}; got {view!r}. Pick one.")
+        if covariance not in COVARIANCES or (covariance == "mixture" and view != "levels"):
+            raise ValueError(
+                f"make: covariance must be one of {', '.join(COVARIANCES)}, mixture only with view levels; got "
+                f"{covariance!r} with view {view!r}. Leave it out if in doubt."
+            )
+        self.view, self.covariance = view, covariance
         self.source, self.count, self.continuous = source, int(count), bool(continuous)
         self.factors = tuple(make_factor(factor) if isinstance(factor, str) else factor for factor in factors)
         if not continuous and len(self.factors) < 2:
@@ -137,7 +184,7 @@ class AdaptiveFactorTask:
         self.loop_filter = make_loop_filter(loop_filter, source.axes)
         A, B, T, modes = source.axes, self.count, source.steps, len(self.loop_filter.modes)
         choices = 0 if continuous else len(self.factors)
-        self.observation_space = gymnasium.spaces.Box(*_bounds(A, modes, choices), dtype=np.float32)
+        self.observation_space = gymnasium.spaces.Box(*_bounds(view, A, modes, choices), dtype=np.float32)
         self.action_space: gymnasium.Space[Any] = (
             gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32) if continuous else gymnasium.spaces.Discrete(choices)
         )
@@ -145,11 +192,16 @@ class AdaptiveFactorTask:
         self._thresholds = np.array([[factor.thresholds(d + 1) for d in range(A)] for factor in self.factors])
         self._params = self.loop_filter.params_for(source.filter_noise)
         self._settings = np.array(
-            [lost_after, lost_steps, _LOWEST, _HIGHEST, _LOSSES[reward], _LEAST_GAIN], dtype=np.float64
-        )
+            [
+                lost_after, lost_steps, _LOWEST, _HIGHEST, _LOSSES[reward], least_gain, looking.VIEWS[view],
+                covariance == "mixture",
+            ],
+            dtype=np.float64,
+        )  # fmt: skip
         self._states = np.zeros((B, 4 * A + 3, 8))
         self._samples = np.zeros((T, B, kernels.FIRST + 3 * A))
-        self._memory = np.zeros((B, kernels.PLACE + 3 * A))
+        self._memory = np.zeros((B, kernels.PLACE + 2 * A))
+        self._looks = np.zeros((B, looking.memory_size(A)))
         self._features = np.zeros((B, self.observation_space.shape[0]), dtype=np.float32)
         self._noises = np.zeros((1, 1, A * A))
         self._ones = np.ones(B)
@@ -161,6 +213,16 @@ class AdaptiveFactorTask:
     def _look_up(self) -> None:
         self._filters = self.loop_filter.addresses()
         self._addresses = np.array([factor.function.address for factor in self.factors])
+
+    @property
+    def sigma(self) -> Array:
+        """Root mean nominal variance of a position component in each target's episode, m; (B,)."""
+        return self._memory[:, kernels.SIGMA].copy()
+
+    @property
+    def gain(self) -> Array:
+        """What rewards are divided by, in sigma: see *Rewards*; (B,)."""
+        return self._memory[:, kernels.GAIN].copy()
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name not in ("_filters", "_addresses")}
@@ -221,7 +283,7 @@ class AdaptiveFactorTask:
             kernels.begin_rows, len(rows), rows, A, modes, choices, self._filters, self._params, self._settings,
             *inputs, priors,
             self._noises, self._one_noise, self._states,
-            np.empty((2, T, kernels.FIRST + 3 * A)), self._samples, self._memory, self._features,
+            np.empty((2, T, kernels.FIRST + 3 * A)), self._samples, self._memory, self._looks, self._features,
         )  # fmt: skip
 
     def end_early(self, rows: Rows, ends: Rows) -> None:
@@ -240,7 +302,7 @@ class AdaptiveFactorTask:
         in_halves(
             kernels.step_rows, self.count, live, k, self._ends, chosen, inflations, A, modes, choices, self._filters,
             self._addresses, self._thresholds, self._params, self._settings, self._noises, self._one_noise,
-            self._states, self._samples, self._memory, self._features, reward, lost,
+            self._states, self._samples, self._memory, self._looks, self._features, reward, lost,
         )  # fmt: skip
         return Outcome(reward, lost)
 
@@ -264,7 +326,7 @@ class AdaptiveFactorTask:
             "position": np.empty((B, A)),
             "estimate": np.empty((B, A)),
         }
-        kernels.tell_rows(k, A, self._samples, self._memory, *told.values())
+        kernels.tell_rows(k, A, self._samples, self._memory, self._looks, *told.values())
         return told
 
     def info_alone(self, k: int) -> dict[str, Any]:
@@ -275,8 +337,8 @@ class AdaptiveFactorTask:
             "time": sample[kernels.TIME],
             "noise_scale": sample[kernels.SCALE],
             "intent": int(sample[kernels.INTENT]),
-            "detected": mine[kernels.MISSED] == 0.0,
-            "nis": mine[kernels.NIS],
+            "detected": self._looks.item((0, looking.MISSED)) == 0.0,
+            "nis": self._looks.item((0, looking.NIS)),
             "error_agent": mine[kernels.ERROR_AGENT],
             "error_nominal": mine[kernels.ERROR_NOMINAL],
             "error_oracle": mine[kernels.ERROR_ORACLE],
@@ -311,12 +373,12 @@ def _own(array: NDArray[Any]) -> NDArray[Any]:
     return np.require(array, requirements=["C", "W"])
 
 
-def _bounds(A: int, modes: int, choices: int) -> tuple[Array, Array]:
-    high = np.full(2 * A + 5 + modes + max(choices, 1), kernels.BOUND)
-    low = -high
-    low[2 * A + 3] = 0.0
-    low[2 * A + 4 :], high[2 * A + 4 :] = 0.0, 1.0
-    if not choices:
+def _bounds(view: str, A: int, modes: int, choices: int) -> tuple[Array, Array]:
+    low, high = looking.view_bounds(looking.VIEWS[view], A)
+    last = max(choices, 1) if view == "plain" else 0
+    low = np.concatenate([low, np.zeros(modes + last)])
+    high = np.concatenate([high, np.ones(modes + last)])
+    if last and not choices:
         low[-1] = -1.0
     return low.astype(np.float32), high.astype(np.float32)
 

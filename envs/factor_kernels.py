@@ -12,23 +12,33 @@ import math
 
 from jink.envs.compiled import inner_kernel, kernel
 from jink.envs.loop_filter import call_innovate, call_predict, call_start, call_update
-from jink.estimators.factors import call_factor, normalised_innovation
+from jink.estimators.agent.beliefs import overconfidence
+from jink.estimators.agent.looking import (
+    BELIEF,
+    DRIFT,
+    LEVELS_SIZE,
+    MISSED,
+    NIS,
+    PLAIN_VIEW,
+    begin_memory,
+    look,
+    look_away,
+    note_used,
+)
+from jink.estimators.factors import call_factor
 
 __all__ = ["begin_rows", "step_rows", "tell_rows"]
 
 # Columns of a sample; then true position, measured position, estimate, A each.
 TIME, SCALE, INTENT, NOMINAL, ORACLE, CHOICE, SCORE, FIRST = range(8)
-# Columns of a target's memory; then true position, estimate, average whitened innovation, A each.
-GAIN, SIGMA, SHORT, LONG, MISSED, STREAK, ERROR_AGENT, ERROR_NOMINAL, ERROR_ORACLE, INFLATION, NIS, PLACE = range(12)
+# Columns of a target's memory; then true position, estimate, A each. What the agent remembers is in `looks`.
+GAIN, SIGMA, STREAK, ERROR_AGENT, ERROR_NOMINAL, ERROR_ORACLE, INFLATION, PLACE = range(8)
 # Entries of the settings.
-LOST_AFTER, LOST_STEPS, LOWEST, HIGHEST, LOSS, FLOOR = range(6)
-DISTANCE, SQUARED, LOG = range(3)
-SHORT_SAMPLES, LONG_SAMPLES = 4.0, 20.0
-BOUND = 5.0
-"""Observations are cut off here."""
+LOST_AFTER, LOST_STEPS, LOWEST, HIGHEST, LOSS, FLOOR, VIEW, HONEST = range(8)
+DISTANCE, SQUARED, LOG, REGRET, LOG_REGRET = range(5)
 _NOISE, _CHOSEN = 0, 1
-_SCRATCH, _HPH, _WANTED, _PART, _VECTOR, _REFERENCE = 11, 12, 13, 14, 15, 16
-WORK = 17
+_SCRATCH, _HPH, _WANTED, _PART, _VECTOR, _REFERENCE, _CROSS, _EXCESS = range(11, 19)
+WORK = 19
 """Matrices (16, 8) of scratch: 11 for the filter, the rest for these kernels."""
 
 
@@ -37,7 +47,7 @@ def _loss(error, sigma, kind):
     relative = error / sigma
     if kind == SQUARED:
         return relative * relative
-    if kind == LOG:
+    if kind in (LOG, LOG_REGRET):
         return math.log1p(relative * relative)
     return relative
 
@@ -99,11 +109,7 @@ def _adapt(factor, thresholds, nis, d, A, state, work):
     HPH, wanted, part, v = work[_HPH], work[_WANTED], work[_PART], work[_VECTOR, 0, :d]
     _pack(state, at + 1, state[at], A, HPH)
     _pack(state, at + 1 + A, state[at], A, wanted)
-    i = 0
-    for a in range(A):
-        if not math.isnan(state[at, a]):
-            v[i] = state[at, a]
-            i += 1
+    _pack_vector(state[at], A, v)
     call_factor(factor, v, HPH, wanted, nis, thresholds[d - 1], scratch, part)
     i = 0
     for a in range(A):
@@ -130,73 +136,87 @@ def _error(sample, state, A):
 
 
 @inner_kernel
-def _squash(value):
-    """``x / (1 + |x| / 5)``: within the bound, and x itself near zero; a logarithm would cost twenty times as much."""
-    return value / (1.0 + abs(value) / BOUND) if abs(value) < math.inf else math.copysign(BOUND, value)
-
-
-@inner_kernel
-def _clip(value):
-    return min(value, BOUND) if value > -BOUND else -BOUND
-
-
-@inner_kernel
-def _look(filters, A, modes, state, sample, memory, params, actions, choice, shown, work, features):
-    """What the agent sees of a sample before it decides; the averages move on."""
-    z = sample[FIRST + A : FIRST + 2 * A]
-    at, whole, scratch, R = 2 * A + 2, PLACE + 2 * A, work[_SCRATCH], work[_NOISE]
-    d = _count(z, A)
-    log_nis, share, nis = 0.0, 0.0, 0.0
-    memory[MISSED] += 1.0
+def _pack_vector(v, A, out):
+    """The components of ``v`` that are not missing."""
+    i = 0
     for a in range(A):
-        features[a] = 0.0
+        if not math.isnan(v[a]):
+            out[i] = v[a]
+            i += 1
+
+
+@inner_kernel
+def _look(filters, A, modes, settings, state, sample, seen, params, actions, choice, shown, work, features):
+    """What the agent sees of a sample before it decides: `looking.look`, the filter's modes, the last action."""
+    z = sample[FIRST + A : FIRST + 2 * A]
+    at, R, present = 2 * A + 2, work[_NOISE], work[_VECTOR, 1]
+    view = int(settings[VIEW])
+    d = 0
+    for a in range(A):
+        if not math.isnan(z[a]):
+            present[d] = a
+            d += 1
     if d > 0:
         call_innovate(filters[1], state, z, params, work[:11])
         if d == A:
-            nis = normalised_innovation(state[at], state[at + 1 :], R, 1.0, d, scratch)
+            look(view, state[at], state[at + 1 :], R, d, present, A, seen, work[_SCRATCH], features)
         else:
-            v = work[_VECTOR, 0]
-            i = 0
-            for a in range(A):
-                if not math.isnan(z[a]):
-                    v[i] = state[at, a]
-                    i += 1
+            _pack_vector(state[at], A, work[_VECTOR, 0])
             _pack(state, at + 1, state[at], A, work[_HPH])
             _pack(R, 0, state[at], A, work[_PART])
-            nis = normalised_innovation(v, work[_HPH], work[_PART], 1.0, d, scratch)
-        if nis < math.inf:
-            memory[MISSED] = 0.0
-            log_nis = _clip(0.5 * math.log(nis / d + 0.01))
-            memory[SHORT] += (log_nis - memory[SHORT]) / SHORT_SAMPLES
-            memory[LONG] += (log_nis - memory[LONG]) / LONG_SAMPLES
-            above, below = 0.0, 0.0
-            i = 0
-            for a in range(A):
-                if not math.isnan(z[a]):
-                    above += state[at + 1 + a, a]
-                    below += R[a, a]
-                    value = _squash(scratch[d + i, 0])
-                    features[a] = value
-                    memory[whole + a] += (value - memory[whole + a]) / SHORT_SAMPLES
-                    i += 1
-            share = above / (above + below)
-    memory[NIS] = nis if nis < math.inf else math.inf
-    for a in range(A):
-        features[A + a] = memory[whole + a]
-    at = 2 * A
-    features[at] = log_nis
-    features[at + 1] = memory[SHORT]
-    features[at + 2] = memory[LONG]
-    features[at + 3] = _squash(memory[MISSED])
-    features[at + 4] = share
-    at += 5
+            look(view, work[_VECTOR, 0], work[_HPH], work[_PART], d, present, A, seen, work[_SCRATCH], features)
+    else:
+        look_away(view, seen, A, features)
+    at = 2 * A + 5 if view == PLAIN_VIEW else LEVELS_SIZE
     for j in range(modes):
         features[at + j] = state[2 * A + 1, j]
     at += modes
-    if actions == 0:
-        features[at] = shown
-    for j in range(actions):
-        features[at + j] = 1.0 if j == choice else 0.0
+    if view == PLAIN_VIEW:
+        if actions == 0:
+            features[at] = shown
+        for j in range(actions):
+            features[at + j] = 1.0 if j == choice else 0.0
+
+
+@inner_kernel
+def _prepare_honesty(A, state, seen, d, work):
+    """``C = P H'`` and by how much the update to come will be too sure, before it changes the state."""
+    at, excess, cross = 2 * A + 2, work[_EXCESS], work[_CROSS]
+    if d == A:
+        overconfidence(
+            state[at], state[at + 1 :], work[_NOISE], work[_CHOSEN], d, seen[BELIEF:DRIFT], work[_SCRATCH], excess
+        )
+    else:
+        HPH, R, chosen = work[_HPH], work[_PART], work[_WANTED]
+        _pack_vector(state[at], A, work[_VECTOR, 0])
+        _pack(state, at + 1, state[at], A, HPH)
+        _pack(work[_NOISE], 0, state[at], A, R)
+        _pack(work[_CHOSEN], 0, state[at], A, chosen)
+        overconfidence(work[_VECTOR, 0], HPH, R, chosen, d, seen[BELIEF:DRIFT], work[_SCRATCH], excess)
+    i = 0
+    for a in range(A):
+        if not math.isnan(state[at, a]):
+            for c in range(2 * A):
+                cross[i, c] = state[1 + a, c]
+            i += 1
+
+
+@inner_kernel
+def _be_honest(A, state, d, work):
+    """``P + C excess C'``: see `beliefs.overconfidence`."""
+    excess, cross, part = work[_EXCESS], work[_CROSS], work[_SCRATCH]
+    for i in range(d):
+        for c in range(2 * A):
+            part[i, c] = 0.0
+            for k in range(d):
+                part[i, c] += excess[i, k] * cross[k, c]
+    for c in range(2 * A):
+        for r in range(c + 1):
+            total = state[1 + r, c]
+            for i in range(d):
+                total += cross[i, r] * part[i, c]
+            state[1 + r, c] = total
+            state[1 + c, r] = total
 
 
 @inner_kernel
@@ -240,7 +260,7 @@ def _load(i, A, times, scale, intent, position, places, samples):
 @kernel
 def begin_rows(
     begin, end, rows, A, modes, actions, filters, params, settings, times, scale, intent, position, places, priors,
-    noises, scalar, states, episodes, samples, memory, features, work,
+    noises, scalar, states, episodes, samples, memory, looks, features, work,
 ):  # fmt: skip
     """Targets ``rows[begin:end]`` start: both references run through the episode, then the first sample is seen."""
     episode = episodes[min(begin, 1)]
@@ -266,22 +286,39 @@ def begin_rows(
         for a in range(A):
             mine[PLACE + a] = first[FIRST + a]
             mine[PLACE + A + a] = states[row, 0, a]
-            mine[PLACE + 2 * A + a] = 0.0
         mine[ERROR_AGENT], mine[ERROR_NOMINAL], mine[ERROR_ORACLE] = error, error, error
-        mine[SHORT], mine[LONG], mine[MISSED], mine[STREAK], mine[INFLATION] = 0.0, 0.0, -1.0, 0.0, 1.0
+        mine[STREAK], mine[INFLATION] = 0.0, 1.0
+        begin_memory(looks[row])
         _load_noise(noises, row, 0, scalar, A, work[_NOISE])
-        _look(filters, A, modes, states[row], first, mine, params, actions, -1, -1.0, work, features[row])
+        _look(
+            filters, A, modes, settings, states[row], first, looks[row], params, actions, -1, -1.0, work, features[row]
+        )
 
 
 @kernel
 def tell_rows(
-    at, A, samples, memory, time, scale, intent, detected, nis, agent, nominal, oracle, inflation, position, estimate
+    at,
+    A,
+    samples,
+    memory,
+    looks,
+    time,
+    scale,
+    intent,
+    detected,
+    nis,
+    agent,
+    nominal,
+    oracle,
+    inflation,
+    position,
+    estimate,
 ):
     """What `AdaptiveFactorTask.info` returns."""
     for row in range(at.shape[0]):
         sample, mine = samples[at[row], row], memory[row]
         time[row], scale[row], intent[row] = sample[TIME], sample[SCALE], int(sample[INTENT])
-        detected[row], nis[row] = mine[MISSED] == 0.0, mine[NIS]
+        detected[row], nis[row] = looks[row, MISSED] == 0.0, looks[row, NIS]
         agent[row], nominal[row], oracle[row] = mine[ERROR_AGENT], mine[ERROR_NOMINAL], mine[ERROR_ORACLE]
         inflation[row] = mine[INFLATION]
         for a in range(A):
@@ -302,7 +339,7 @@ def _mean_sigma(noises, row, scalar, A, steps):
 @kernel
 def step_rows(
     begin, end, live, at, ends, choices, inflations, A, modes, actions, filters, factors, thresholds, params, settings,
-    noises, scalar, states, samples, memory, features, reward, lost, work,
+    noises, scalar, states, samples, memory, looks, features, reward, lost, work,
 ):  # fmt: skip
     """Targets ``begin`` to ``end`` that are live take their decision at sample ``at`` and see the next one."""
     _load_noise(noises, begin, 0, scalar, A, work[_NOISE])
@@ -311,20 +348,26 @@ def step_rows(
         lost[row] = False
         if not live[row]:
             continue
-        k, mine, state = at[row], memory[row], states[row]
+        k, mine, state, seen = at[row], memory[row], states[row], looks[row]
         sample = samples[k, row]
         d, used = _count(sample[FIRST + A : FIRST + 2 * A], A), inflations[row]
         if d > 0:
             if choices[row] < 0:
                 _inflate(state, used, A, work)
             else:
-                used = _adapt(factors[choices[row]], thresholds[choices[row]], mine[NIS], d, A, state, work)
+                used = _adapt(factors[choices[row]], thresholds[choices[row]], seen[NIS], d, A, state, work)
+            note_used(seen, used)
+            if settings[HONEST] > 0.0:
+                _prepare_honesty(A, state, seen, d, work)
             call_update(filters[2], state, params, work[:11])
+            if settings[HONEST] > 0.0:
+                _be_honest(A, state, d, work)
         else:
             used = 1.0
         error = _error(sample, state, A)
         nominal = sample[NOMINAL]
-        gained = _loss(nominal, mine[SIGMA], settings[LOSS]) - _loss(error, mine[SIGMA], settings[LOSS])
+        base = sample[ORACLE] if settings[LOSS] >= REGRET else nominal
+        gained = _loss(base, mine[SIGMA], settings[LOSS]) - _loss(error, mine[SIGMA], settings[LOSS])
         score = gained / mine[GAIN]
         # Not min and max: an error that is no number must not earn the best reward.
         if not score > settings[LOWEST]:
@@ -352,4 +395,6 @@ def step_rows(
         if not scalar:
             _load_noise(noises, row, k + 1, False, A, work[_NOISE])
         shown = math.log(inflations[row]) / math.log(1e6) * 2.0 - 1.0 if actions == 0 else 0.0
-        _look(filters, A, modes, state, after, mine, params, actions, choices[row], shown, work, features[row])
+        _look(
+            filters, A, modes, settings, state, after, seen, params, actions, choices[row], shown, work, features[row]
+        )

@@ -1,4 +1,4 @@
-"""One step of a one-mode bank that learns its noise, and the loop over time and tracks."""
+"""One step of a one-mode bank that learns or chooses its noise, and the loop over time and tracks."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from jink.estimators.adaptive_noise import (
     variational,
     whitened,
 )
+from jink.estimators.agent.updating import agent_skip, agent_update, forget
 from jink.estimators.compiled import entry_kernel, inner_kernel
 from jink.estimators.factors import normalised_innovation
 from jink.estimators.fusion import fuse
@@ -35,11 +36,11 @@ from jink.estimators.soundness import (
 )
 from jink.estimators.status import DIVERGED, MISSING, OK, REPAIRED, STARTING
 
-__all__ = ["LEARNT", "PROCESS", "RATIO", "SAGE_HUSA", "VARIATIONAL", "WEIGHT", "Settings", "advance"]
+__all__ = ["AGENT", "LEARNT", "PROCESS", "RATIO", "SAGE_HUSA", "VARIATIONAL", "WEIGHT", "Settings", "advance"]
 
-SAGE_HUSA, VARIATIONAL = range(2)
+SAGE_HUSA, VARIATIONAL, AGENT = range(3)
 LEARNT = 2
-"""Columns of ``State.nis_average`` that are the bank's own; the learnt ones follow."""
+"""Columns of ``State.nis_average`` that are the bank's own; the learnt ones, or what an agent remembers, follow."""
 WEIGHT, PROCESS, RATIO = range(3)
 """Learnt columns: weight w, factor on Q, and from here on the ratio A, row by row."""
 _LOST_NIS, _WORST_NIS, _MEMORY = 25.0, 50.0, 0.2
@@ -62,6 +63,9 @@ class Settings(NamedTuple):
 
 @inner_kernel
 def _forget_all(settings, learnt, size):
+    if settings.method == AGENT:
+        forget(learnt)
+        return
     learnt[WEIGHT], learnt[PROCESS] = settings.start_weight, 1.0
     for i in range(size):
         for k in range(size):
@@ -156,7 +160,7 @@ def _update(settings, program, work, learnt, refusals, room, m, P, sensor, z, d,
 
 
 @inner_kernel
-def _step(settings, program, work, state, inputs, outputs, room, b, t):
+def _step(settings, chooser, program, work, state, inputs, outputs, room, scratch, features, hidden, b, t):
     """Prediction, learning and update for track ``b`` at row ``t``.
 
     As `cycle.step` for one mode; a row without a measurement leaves the noise as it is.
@@ -178,7 +182,7 @@ def _step(settings, program, work, state, inputs, outputs, room, b, t):
     d, clean = usable_components(program, work, z, R, sensor)
     m, P = work.predicted_mean[0], work.predicted_cov[0]
     good = predict_mode(program, work, 0, mean, cov, dt, m, P) and good and clean
-    if learnt[PROCESS] != 1.0:
+    if settings.process and learnt[PROCESS] != 1.0:
         for i in range(n):
             for k in range(n):
                 P[i, k] += (learnt[PROCESS] - 1.0) * work.Q[0, i, k]
@@ -189,9 +193,15 @@ def _step(settings, program, work, state, inputs, outputs, room, b, t):
         birth(program, work, 0, state.kin_mean[b], state.kin_cov[b], m, P)
     status, log_likelihood, nis = OK, 0.0, 0.0
     if d > 0:
-        log_likelihood, nis, fine, found, widen_by = _update(
-            settings, program, work, learnt, state.refusals[b], room, m, P, sensor, z, d, mean, cov
-        )
+        if settings.method == AGENT:
+            log_likelihood, nis, fine, found, widen_by = agent_update(
+                chooser, program, work, learnt, state.refusals[b], room, scratch, features, hidden, m, P, sensor, z, d,
+                mean, cov,
+            )  # fmt: skip
+        else:
+            log_likelihood, nis, fine, found, widen_by = _update(
+                settings, program, work, learnt, state.refusals[b], room, m, P, sensor, z, d, mean, cov
+            )
         sound = sound_moments(mean, cov, n, P)
         good = good and fine and sound == 2
         if sound == 0:
@@ -216,6 +226,8 @@ def _step(settings, program, work, state, inputs, outputs, room, b, t):
         copy_vector(m[:n], mean[:n])
         copy_rows(P, cov, n)
         status = MISSING
+        if settings.method == AGENT:
+            agent_skip(chooser, z.size, learnt, features, hidden)
     outputs.log_likelihood[b, t] = log_likelihood
     outputs.nis[b, t] = nis
     outputs.nis_dof[b, t] = d
@@ -236,27 +248,30 @@ def _step(settings, program, work, state, inputs, outputs, room, b, t):
 
 
 @inner_kernel
-def _row(settings, program, work, state, inputs, outputs, room, b, t):
+def _row(settings, chooser, program, work, state, inputs, outputs, room, scratch, features, hidden, b, t):
     if state.phase[b] == LOCATED:
         outputs.status[b, t] = STARTING
         state.phase[b] = RUNNING
     else:
-        _step(settings, program, work, state, inputs, outputs, room, b, t)
+        _step(settings, chooser, program, work, state, inputs, outputs, room, scratch, features, hidden, b, t)
 
 
 @entry_kernel
-def advance(settings, program_handle, work_handle, state, inputs, outputs, history, learnt, begin, end):
+def advance(settings, chooser, program_handle, work_handle, state, inputs, outputs, history, learnt, begin, end):
     """Run tracks ``begin`` to ``end`` through all their rows.
 
-    As `cycle.advance`; with a time axis, ``learnt`` (B, T, 2 + D D) receives the learnt columns of every row.
+    As `cycle.advance`; with a time axis, ``learnt`` (B, T, learnt columns) receives the learnt columns of every row.
     """
     program, work = program_at(program_handle), work_at(work_handle)
     states, rows, results = by_reference(state), by_reference(inputs), by_reference(outputs)
     size = inputs.measurements.shape[2]
     room = np.zeros((_MATRICES, max(size, 2), padded(size)))
+    scratch = np.zeros((5 * size + 1, max(padded(size), 8)))
+    # float32: an agent has learnt from observations of that precision.
+    features, hidden = np.zeros(chooser.network.sizes[0], dtype=np.float32), np.zeros((2, chooser.network.sizes.max()))
     for b in range(begin, end):
         for t in range(inputs.first[b], inputs.lengths[b]):
-            _row(settings, program, work, states, rows, results, room, b, t)
+            _row(settings, chooser, program, work, states, rows, results, room, scratch, features, hidden, b, t)
             copy_vector(state.kin_mean[b], outputs.kin_mean[b, t])
             copy_matrix(state.kin_cov[b], outputs.kin_cov[b, t], state.kin_cov.shape[1])
             copy_vector(state.mode_probs[b], outputs.mode_probs[b, t])

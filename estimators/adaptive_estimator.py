@@ -21,6 +21,7 @@ from jink.estimators.adaptive_cycle import (
     Settings,
     advance,
 )
+from jink.estimators.agent.updating import IDLE
 from jink.estimators.api import BankEstimator, Estimates
 from jink.estimators.bank import Bank
 from jink.estimators.inputs import Prior, check_inputs
@@ -285,7 +286,7 @@ class AdaptiveEstimator(BankEstimator):
     def _advance(self, state: State, inputs: Inputs, outputs: Outputs, history: History, low: int, high: int) -> None:
         settings = self.adaptation.settings._replace(restart=self.bank.restart is not False)
         trail = self._trail
-        advance(settings, self._handle.handle, self._work(), state, inputs, outputs, history, trail, low, high)
+        advance(settings, IDLE, self._handle.handle, self._work(), state, inputs, outputs, history, trail, low, high)
 
     def _advance_row(self, desk: Desk, state: State) -> None:
         self._advance(state, desk.inputs.record, desk.outputs.record, self._history(1, 0), 0, 1)

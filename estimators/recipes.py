@@ -11,9 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Protocol
 
 from jink.estimators.adaptive_estimator import AdaptiveEstimator, NoiseAdaptation
+from jink.estimators.agent.policy import Policy
+from jink.estimators.agent.policy_file import find_policy
+from jink.estimators.agent_estimator import AgentEstimator
 from jink.estimators.api import BankEstimator
 from jink.estimators.bank import Bank, Mode
 from jink.estimators.factors import LARGEST_INFLATION
@@ -30,7 +34,7 @@ from jink.estimators.motions import (
 from jink.estimators.sensor import Sensor
 from jink.estimators.treatments import Adaptive, HeavyTails, Uncertain
 
-__all__ = ["LEARNED", "RECIPES", "LearnedModel", "Scales", "make_estimator"]
+__all__ = ["AGENT_POLICY", "LEARNED", "RECIPES", "LearnedModel", "Scales", "make_estimator"]
 
 ROBUST_FACTORS = ("mr", "huber", "rma", "mahalanobis")
 _STAY = 0.9
@@ -219,6 +223,11 @@ def vb_noise(sensor: Sensor, scales: Scales) -> Bank:
     return kf_cv(sensor, scales).with_(learns_noise=True)
 
 
+def agent(sensor: Sensor, scales: Scales) -> Bank:
+    """As kf-cv, with an agent that chooses how noisy each measurement is taken to be (ours; `jink train agent`)."""
+    return kf_cv(sensor, scales).with_(learns_noise=True)
+
+
 RECIPES: dict[str, Callable[..., Bank]] = {
     "kf-cv": kf_cv,
     "kf-ca": kf_ca,
@@ -231,6 +240,7 @@ RECIPES: dict[str, Callable[..., Bank]] = {
     "joint-imm": joint_imm,
     "sage-husa": sage_husa,
     "vb-noise": vb_noise,
+    "agent": agent,
 }
 """Name -> recipe; the first line of each docstring is shown by ``jink list``."""
 
@@ -239,6 +249,9 @@ ADAPTATIONS: dict[str, NoiseAdaptation] = {
     "vb-noise": NoiseAdaptation(method="variational"),
 }
 """Recipes whose one mode learns its noise -> how."""
+
+AGENT_POLICY = "continuous"
+"""The policy of the recipe ``agent`` where none is given."""
 
 
 class LearnedModel(Protocol):
@@ -269,6 +282,7 @@ def make_estimator(
     surge_for: float = SURGE,
     threads: int | None = None,
     model: LearnedModel | None = None,
+    policy: Policy | str | Path | None = None,
 ) -> BankEstimator:
     """An estimator by name.
 
@@ -279,19 +293,25 @@ def make_estimator(
         surge_every, surge_for: see `Scales`; used by ``joint-imm``.
         threads: processor cores for many tracks; None: all.
         model: learned intents instead of those of the recipe; only for recipes in `LEARNED`.
+        policy: of ``agent``: itself, the name of one that ships with the package, or a folder of `jink train agent`;
+            None: `AGENT_POLICY`.
 
     Returns:
-        A `BankEstimator` (an `AdaptiveEstimator` where the recipe learns its noise).
+        A `BankEstimator` (an `AdaptiveEstimator` where the recipe learns its noise, an `AgentEstimator` for ``agent``).
 
     Raises:
-        ValueError: an unknown name, a scale that is not positive, or a model where none can be used.
+        ValueError: an unknown name, a scale that is not positive, or a model or policy where none can be used.
     """
     if name not in RECIPES:
         raise ValueError(f"make_estimator: name must be one of {', '.join(RECIPES)}; got {name!r}. See `jink list`.")
     scales = Scales(acceleration, speed, turn_rate, sojourn, surge_every, surge_for)
+    if policy is not None and name != "agent":
+        raise ValueError(f"make_estimator: policy must be left out for {name}; got one. Only agent takes one.")
     if model is not None:
         return BankEstimator(_learned_bank(name, sensor, model, scales), name=name, threads=threads)
     bank = RECIPES[name](sensor, scales)
+    if name == "agent":
+        return AgentEstimator(bank, find_policy(AGENT_POLICY if policy is None else policy), name=name, threads=threads)
     if name in ADAPTATIONS:
         return AdaptiveEstimator(bank, ADAPTATIONS[name], name=name, threads=threads)
     return BankEstimator(bank, name=name, threads=threads)

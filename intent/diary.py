@@ -13,9 +13,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from jink.estimators.safe_reading import parse_json, read_bytes
 from jink.intent.model import IntentModel
 from jink.intent.model_file import load_model, save_model
-from jink.intent.safe_reading import parse_json, read_bytes
 
 __all__ = ["Diary"]
 

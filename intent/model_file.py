@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import save
 
+from jink.estimators.safe_reading import check_names, parse_json, parse_tensors, read_bytes, refuse
 from jink.intent.laws import Birth, Law, Phase
 from jink.intent.model import Intent, IntentModel
-from jink.intent.safe_reading import check_names, parse_json, parse_tensors, read_bytes, refuse
 
 __all__ = ["MODEL_FILE", "load_model", "save_model"]
 

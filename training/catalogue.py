@@ -36,6 +36,7 @@ def print_catalogue(console: Console) -> None:
     from jink.envs.scenarios import SUITES as MIXES
     from jink.envs.scene_library import SCENES
     from jink.envs.surges import SURGES
+    from jink.estimators.agent.policy_file import pretrained_policies
     from jink.estimators.factors import FACTORS
     from jink.estimators.motions import MOTIONS
     from jink.estimators.recipes import RECIPES
@@ -45,6 +46,7 @@ def print_catalogue(console: Console) -> None:
 
     _print_section(console, "estimators", {name: _first_line(make) for name, make in RECIPES.items()})
     _print_section(console, "learned models", {name: _model(name) for name in pretrained_names()})
+    _print_section(console, "learned policies", {name: _policy(name) for name in pretrained_policies()})
     _print_section(console, "estimators of many targets", {name: _first_line(make) for name, make in MANY.items()})
     _print_section(console, "motions", {name: _first_line(make) for name, make in MOTIONS.items()})
     _print_section(console, "sensors", {name: _first_line(make) for name, make in SENSORS.items()})
@@ -76,6 +78,17 @@ def _model(name: str) -> str:
     tracks = model.about.get("tracks")
     source = tracks.get("source") if isinstance(tracks, dict) else "unknown tracks"
     return f"{', '.join(intent.name for intent in model.intents)} ({model.axes} axes, from {source})"
+
+
+def _policy(name: str) -> str:
+    """What it chooses and where it was learned."""
+    from jink.estimators.agent.policy_file import find_policy
+
+    policy = find_policy(name)
+    config = policy.about.get("config")
+    config = config if isinstance(config, dict) else {}
+    chooses = f"one of {', '.join(policy.factors)}" if policy.factors else "an inflation of R"
+    return f"{chooses} (learned on {config.get('scenario') or config.get('suite') or 'unknown scenarios'})"
 
 
 def _environment(options: Mapping[str, Any]) -> str:

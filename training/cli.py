@@ -66,6 +66,10 @@ def track_command(
         str | None,
         typer.Option(help="Learned intents: a folder of jink train, or a name.", rich_help_panel=_MODEL),
     ] = None,
+    policy: Annotated[
+        str | None,
+        typer.Option(help="Of agent: a folder of jink train agent, or a name.", rich_help_panel=_MODEL),
+    ] = None,
     columns: Annotated[
         str, typer.Option(help="Our names to the file's: t=time,x=east,y=north.", rich_help_panel=_READING)
     ] = "",
@@ -167,6 +171,7 @@ def track_command(
             file=file,
             estimator=estimator,
             model=model,
+            policy=policy,
             columns=columns,
             truth=truth,
             truth_columns=truth_columns,

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from jink.training.cli_agent import AGENT_HELP, train_agent_command
 from jink.training.console import screen
 
 __all__ = ["add_commands"]
@@ -68,8 +69,9 @@ Sigma = Annotated[
 
 def add_commands(app: typer.Typer) -> None:
     """Add the commands to the `jink` command."""
-    train = typer.Typer(help="Learn from tracks.", no_args_is_help=True)
+    train = typer.Typer(help="Learn intents from tracks, or an agent from simulations.", no_args_is_help=True)
     train.command("intents", help=_TRAIN_HELP)(_train_intents)
+    train.command("agent", help=AGENT_HELP)(train_agent_command)
     app.add_typer(train, name="train")
     app.command("show", help=_SHOW_HELP)(_show)
     app.command("segment", help=_SEGMENT_HELP)(_segment)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jink.estimators.adaptive_estimator import AdaptiveEstimator
+from jink.estimators.agent_estimator import AgentEstimator
 from jink.estimators.status import STATUS_NAMES
 from jink.estimators.tracks import Tracks
 
@@ -46,6 +47,8 @@ def read_noise(estimator: Any, tracks: Tracks, estimates: Any, *, use_noise: boo
     known = tracks.used & (np.asarray(estimates.status) != STATUS_NAMES.index("starting"))
     if not known.any() or not hasattr(estimator, "bank"):
         return None
+    if isinstance(estimator, AgentEstimator):
+        return _chosen(estimator, tracks, known, use_noise)
     if isinstance(estimator, AdaptiveEstimator):
         return _learnt(estimator, tracks, known, use_noise)
     levels = np.array([mode.noise_scale for mode in estimator.bank.modes])
@@ -68,6 +71,19 @@ def read_noise(estimator: Any, tracks: Tracks, estimates: Any, *, use_noise: boo
         dict(zip(estimator.intents, shares.tolist(), strict=True)),
         tuple(sentences),
     )
+
+
+def _chosen(estimator: AgentEstimator, tracks: Tracks, known: NDArray[np.bool_], use_noise: bool) -> NoiseReading:
+    noise = tracks.noise if use_noise else None
+    scale, surge = estimator.noise_run(tracks.measurements, tracks.times, noise, tracks.sensor_states, tracks.lengths)
+    columns = {"noise_scale": scale}
+    if np.isfinite(surge).all():
+        columns["surge_probability"] = surge
+    said = (
+        f"noise: the agent multiplied R by {np.median(scale[known]):.3g} in the median row, "
+        f"{scale[known].max():.3g} at most"
+    )
+    return NoiseReading(columns, {}, (said,))
 
 
 def _learnt(estimator: AdaptiveEstimator, tracks: Tracks, known: NDArray[np.bool_], use_noise: bool) -> NoiseReading:

@@ -14,6 +14,7 @@ import numpy as np
 from jink.envs.estimates_file import write_estimates
 from jink.envs.reading.columns import parse_columns
 from jink.envs.recorded import read_tracks
+from jink.estimators.agent.policy_file import find_policy
 from jink.estimators.metrics import errors, summary
 from jink.estimators.sensor import Sensor
 from jink.estimators.tracks import Tracks
@@ -65,6 +66,7 @@ class TrackRequest:
     smooth: bool = False
     forecast: float | None = None
     model: str | None = None
+    policy: str | None = None
     out: Path | None = None
     plot: Path | None = None
     shown: str | None = None
@@ -139,6 +141,13 @@ def track(request: TrackRequest) -> TrackReport:
             f"--model: value must come with --estimator {' or '.join(LEARNED)}; got --estimator {request.estimator}. "
             "Change one of them."
         )
+    if request.policy is not None:
+        if request.estimator != "agent":
+            raise ValueError(
+                f"--policy: value must come with --estimator agent; got --estimator {request.estimator}. "
+                "Change one of them."
+            )
+        find_policy(request.policy, "--policy")
     for name in ("surge_every", "surge_for"):
         if getattr(request, name) is not None and request.estimator != "joint-imm":
             raise ValueError(
@@ -365,6 +374,8 @@ def _choose(request: TrackRequest, tracks: Tracks) -> Choice:
             value, source = min(tuning.acceleration / tuning.speed, 1.0), "default"
         found.append(Parameter(name, value, unit, source))
         options[name] = value
+    if request.policy is not None:
+        options["policy"] = request.policy
     surges = _surges(request, tracks)
     found += surges
     options |= {item.name: item.value for item in surges}

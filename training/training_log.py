@@ -17,7 +17,7 @@ from rich.progress import Progress as Bar
 from jink.intent.progress import Progress
 from jink.training.console import stderr
 
-__all__ = ["TrainingLog", "describe_progress"]
+__all__ = ["TrainingLog", "describe_progress", "make_board"]
 
 Said = tuple[str, int, int, float, bool]
 """Stage, step, intents, nats per row, whether of tracks held out."""
@@ -55,7 +55,7 @@ class TrainingLog:
 
     def __enter__(self) -> TrainingLog:
         self._begin_file()
-        self._board = _board(self._board_folder)
+        self._board = make_board(self._board_folder)
         self._bar.start()
         return self
 
@@ -127,7 +127,7 @@ def _read(path: Path) -> list[Said]:
     return found
 
 
-def _board(folder: Path) -> Any:
+def make_board(folder: Path) -> Any:
     """A TensorBoard writer where it is installed, else None."""
     if importlib.util.find_spec("tensorboard") is None or importlib.util.find_spec("torch") is None:
         return None

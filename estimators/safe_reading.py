@@ -62,7 +62,7 @@ def read_bytes(path: Path, limit: int) -> bytes:
         content = file.read(limit + 1) if found.st_size <= limit else b""
     size = max(found.st_size, len(content))
     if size > limit:
-        refuse(path.name, f"be at most {limit} bytes", f"{size}", "Models of intents are small: this is none.")
+        refuse(path.name, f"be at most {limit} bytes", f"{size}", "Models are small: this is none.")
     return content
 
 

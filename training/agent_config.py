@@ -1,0 +1,164 @@
+"""What `jink train agent` was asked for: `AgentConfig`, checked when it is made."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from jink.envs.adaptive_factor import FACTORS_OFFERED
+from jink.envs.scenarios import SCENARIOS, SUITES
+from jink.estimators.agent.looking import VIEWS
+from jink.estimators.agent.policy import COVARIANCES
+from jink.estimators.factors import FACTORS
+
+__all__ = ["ALGORITHMS", "REWARDS", "WARM_STARTS", "AgentConfig"]
+
+ALGORITHMS = ("ppo", "dqn", "recurrent-ppo")
+REWARDS = ("distance", "regret", "squared", "log", "log-regret")
+WARM_STARTS = ("advice", "oracle", "none")
+_WHOLE = {
+    "seed": (0, 2**31),
+    "steps": (1, 10**10),
+    "environments": (1, 65536),
+    "horizon": (1, 4096),
+    "minibatch": (2, 2**22),
+    "epochs": (1, 100),
+    "hidden": (1, 1024),
+    "rounds": (1, 10_000),
+    "episodes": (10, 10_000),
+}
+_REAL = {
+    "learning_rate": (0.0, 1.0),
+    "discount": (0.0, 1.0),
+    "trace": (0.0, 1.0),
+    "clip": (0.0, 10.0),
+    "entropy": (0.0, 10.0),
+    "critic_first": (0.0, 0.9),
+    "least_gain": (1e-3, 100.0),
+    "log_std": (-10.0, 2.0),
+}
+
+
+@dataclass(frozen=True)
+class AgentConfig:
+    """A training of an agent.
+
+    Args:
+        discrete: choose factors instead of an inflation.
+        algorithm: one of `ALGORITHMS`; dqn is discrete.
+        suite: whose scenarios are mixed.
+        scenario: one scenario instead.
+        seed: of everything drawn.
+        steps: environment steps in all.
+        environments: targets side by side.
+        horizon: steps of each between two updates.
+        minibatch: samples of a gradient step.
+        epochs: passes over a batch.
+        learning_rate: at the start; falls linearly to a tenth.
+        discount: of rewards one decision later, in (0, 1).
+        trace: lambda of generalised advantage estimates.
+        clip: of the ratio of probabilities.
+        entropy: weight of the entropy.
+        hidden: units of each of the two layers.
+        view, covariance, factors, reward, least_gain: of the environment, see `AdaptiveFactorTask`.
+        warm_start: before learning the network copies ``advice`` (the inflation whose gain is the posterior mean),
+            the ``oracle``'s inflation, or nothing; continuous only.
+        informed: while learning, the critic sees the truth (errors, true noise); the agent never does; ppo only.
+        critic_first: share of the steps in which only the critic learns, before all; ppo only.
+        log_std: logarithm of the standard deviation of the first actions; continuous only.
+        rounds: pieces of the training; each starts new episodes, and ends with an evaluation and a checkpoint.
+        episodes: of an evaluation.
+
+    Raises:
+        ValueError: a value out of range or options that exclude each other.
+    """
+
+    discrete: bool = False
+    algorithm: str = "ppo"
+    suite: str | None = "surge"
+    scenario: str | None = None
+    seed: int = 0
+    steps: int = 1_500_000
+    environments: int = 1024
+    horizon: int = 32
+    minibatch: int = 8192
+    epochs: int = 4
+    learning_rate: float = 3e-4
+    discount: float = 0.98
+    trace: float = 0.95
+    clip: float = 0.2
+    entropy: float = 0.0
+    hidden: int = 64
+    view: str = "levels"
+    covariance: str = "mixture"
+    factors: tuple[str, ...] = FACTORS_OFFERED
+    reward: str = "log-regret"
+    least_gain: float = 1.0
+    warm_start: str = "advice"
+    informed: bool = True
+    critic_first: float = 0.08
+    log_std: float = -3.5
+    rounds: int = 6
+    episodes: int = 200
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in _WHOLE.items():
+            value = getattr(self, name)
+            if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+                _refuse(name, f"be an integer from {low} to {high}", value, "Leave it out if in doubt.")
+        for name, (lower, upper) in _REAL.items():
+            value = getattr(self, name)
+            real = isinstance(value, float | int) and not isinstance(value, bool) and math.isfinite(value)
+            if not real or not (lower <= value <= upper):
+                _refuse(name, f"be a number from {lower:g} to {upper:g}", value, "Leave it out if in doubt.")
+        if not self.learning_rate > 0.0:
+            _refuse("learning_rate", "be > 0", self.learning_rate, "Leave it out if in doubt.")
+        choices = (
+            ("algorithm", ALGORITHMS), ("reward", REWARDS), ("warm_start", WARM_STARTS), ("view", tuple(VIEWS)),
+            ("covariance", COVARIANCES),
+        )  # fmt: skip
+        for name, known in choices:
+            if getattr(self, name) not in known:
+                _refuse(name, f"be one of {', '.join(known)}", repr(getattr(self, name)), "Pick one.")
+        if self.algorithm == "dqn" and not self.discrete:
+            _refuse("algorithm", "be ppo or recurrent-ppo for an inflation", "'dqn'", "Add --discrete.")
+        if not isinstance(self.informed, bool):
+            _refuse("informed", "be True or False", repr(self.informed), "Leave it out if in doubt.")
+        object.__setattr__(self, "informed", self.informed and self.algorithm == "ppo")
+        if self.covariance == "mixture" and self.view != "levels":
+            _refuse("covariance", "be chosen with the view plain", "'mixture'", "Use --covariance chosen.")
+        if self.minibatch > self.environments * self.horizon:
+            most = self.environments * self.horizon
+            _refuse("minibatch", f"be at most environments x horizon = {most}", self.minibatch, "Make it smaller.")
+        for name, known_names in (("suite", SUITES), ("scenario", SCENARIOS)):
+            value = getattr(self, name)
+            if value is not None and value not in known_names:
+                _refuse(name, f"be one of {', '.join(known_names)}", repr(value), "See jink list.")
+        if (self.suite is None) == (self.scenario is None):
+            _refuse("suite", "be given, or a scenario, not both", (self.suite, self.scenario), "Drop one.")
+        if self.discrete and (len(self.factors) < 2 or not set(self.factors) <= set(FACTORS)):
+            _refuse("factors", f"be at least two of {', '.join(FACTORS)}", self.factors, "See jink list.")
+
+    @property
+    def copies(self) -> str:
+        """What the network copies first."""
+        return "none" if self.discrete or self.view != "levels" else self.warm_start
+
+    def environment(self) -> dict[str, Any]:
+        """Options of the task."""
+        told: dict[str, Any] = {"view": self.view, "covariance": self.covariance}
+        told |= {"reward": self.reward, "least_gain": self.least_gain}
+        return {**told, "factors": self.factors} if self.discrete else told
+
+    def source(self) -> dict[str, Any]:
+        """Where episodes come from."""
+        return {"scenario": self.scenario} if self.scenario is not None else {"suite": self.suite}
+
+    def told(self) -> dict[str, Any]:
+        """Every value, as JSON has it."""
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
+
+
+def _refuse(name: str, rule: str, value: Any, remedy: str) -> None:
+    raise ValueError(f"train agent: {name.replace('_', '-')} must {rule}; got {value}. {remedy}")
