@@ -90,16 +90,16 @@ class AdaptiveFactorTask:
     action.
 
     ## Rewards
-    ``(e_nominal - e_agent) / c``: how much closer the agent's estimate is than the nominal filter's, e the distance to
-    the truth at the time of the measurement. c is the mean of ``e_nominal - e_oracle`` over the episode, so that the
-    mean reward is 0 for the nominal filter (exactly: action *none*, or -1) and 1 for the oracle. c is at least a tenth
-    (``least_gain``) of sigma, the root mean nominal variance of a position component: in an episode without surges
-    there is nothing to gain, and the reward is the difference in tenths of sigma. ``reward="squared"`` and ``"log"``
-    use ``e^2`` and ``ln(1 + e^2)`` instead, in units of sigma; ``"regret"`` is ``(e_oracle - e_agent) / c``, which
-    differs from the first by what no action changes and varies far less: its mean is -1 for the nominal filter and 0
-    for the oracle; ``"log-regret"`` is the same of the logarithms. A reward is cut off at -10 and 100; in scenarios where that happens the oracle's mean is not
-    exactly 1 (0.94 to 1.23). Losing the track costs 10 for each decision left, so that giving up never pays. A sample
-    whose truth is not known (recorded tracks) gives 0.
+    ``(e_nominal - e_agent) / c``: how much closer the agent's estimate is than the nominal filter's, e the distance
+    to the truth at the time of the measurement. c is the mean of ``e_nominal - e_oracle`` over the episode, so that
+    the mean reward is 0 for the nominal filter (exactly: action *none*, or -1) and 1 for the oracle. c is at least
+    a tenth (``least_gain``) of sigma, the root mean nominal variance of a position component: in an episode without
+    surges there is nothing to gain, and the reward is the difference in tenths of sigma. ``reward="squared"`` and
+    ``"log"`` use ``e^2`` and ``ln(1 + e^2)`` instead, in units of sigma; ``"regret"`` is ``(e_oracle - e_agent) /
+    c``, which differs from the first by what no action changes and varies far less: its mean is -1 for the nominal
+    filter and 0 for the oracle; ``"log-regret"`` is the same of the logarithms. A reward is cut off at -10 and 100;
+    in scenarios where that happens the oracle's mean is not exactly 1 (0.94 to 1.23). Losing the track costs 10 for
+    each decision left, so that giving up never pays. A sample whose truth is not known (recorded tracks) gives 0.
 
     ## Starting State
     A target drawn by the scenario from the environment's generator; the filters start from what the scenario tells

@@ -13,9 +13,10 @@ from jink.estimators.agent.beliefs import LEVEL_SCALES
 from jink.estimators.agent.looking import LEVELS_SIZE
 from jink.estimators.agent.policy import Policy
 from jink.estimators.agent.policy_file import POLICY_FILE, find_policy, load_policy, pretrained_policies, save_policy
+from jink.estimators.agent_estimator import AgentEstimator
 from jink.estimators.inputs import Prior
 from jink.estimators.motions import constant_velocity
-from jink.estimators.recipes import make_estimator
+from jink.estimators.recipes import RECIPES, Scales, make_estimator
 from jink.estimators.sensors import make_sensor, position
 
 ADVICE = LEVELS_SIZE - 2
@@ -163,9 +164,9 @@ def test_the_estimator_is_the_environment(name, kind):
         source, episodes, lambda o, i, k: policy.act(o), not policy.factors, lost_after=np.inf, **policy.environment()
     )
     assert np.ptp(run.told("inflation")) > 1.0  # it does not choose the same all the time
-    estimator = make_estimator(
-        "agent", source.sensor, acceleration=np.sqrt(source.filter_noise), policy=policy, threads=1
-    )
+    bank = RECIPES["agent"](source.sensor, Scales(acceleration=np.sqrt(source.filter_noise)))
+    # The environment ends a lost episode; the estimator would begin again.
+    estimator = AgentEstimator(bank.with_(restart=False), policy, threads=1)
     found = estimator.run(episodes.measurements, episodes.times, prior=Prior(episodes.prior_mean, episodes.prior_cov))
     # Two updates and two predictions that round differently, next to positions of some 100 m.
     np.testing.assert_allclose(np.swapaxes(found.position, 0, 1)[:-1], run.told("estimate"), rtol=1e-6, atol=1e-5)

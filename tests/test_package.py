@@ -20,6 +20,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 SOURCES = sorted(path for layer in LAYERS for path in (ROOT / layer).rglob("*.py"))
 # Distributions whose import name is not their own name.
 IMPORT_NAMES = {
+    "sb3_contrib": "sb3-contrib",
     "stable_baselines3": "stable-baselines3",
     "pygame": "pygame-ce",
     "llvmlite": "numba",

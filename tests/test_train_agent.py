@@ -209,7 +209,7 @@ class Guess(VectorEnv):
     def step(self, actions):
         rewards = -np.square(actions - self.now)[:, 0].astype(np.float64)
         if self.shuffled:
-            rewards = self.rng.permutation(rewards)
+            rewards = np.roll(rewards, 1)  # a permutation would leave one in 64 in place, and that is enough to learn
         last = np.array([*self.now, None], dtype=object)[:-1]
         over = np.ones(self.num_envs, dtype=bool)
         return self._draw(), rewards, over, np.zeros_like(over), {"final_obs": last}

@@ -79,7 +79,7 @@ class AgentConfig:
     suite: str | None = "surge"
     scenario: str | None = None
     seed: int = 0
-    steps: int = 1_500_000
+    steps: int = 1_000_000
     environments: int = 1024
     horizon: int = 32
     minibatch: int = 8192
@@ -99,7 +99,7 @@ class AgentConfig:
     informed: bool = True
     critic_first: float = 0.08
     log_std: float = -3.5
-    rounds: int = 6
+    rounds: int = 5
     episodes: int = 200
 
     def __post_init__(self) -> None:

@@ -76,7 +76,7 @@ def imitate(model: Any, examples: Examples, seed: int) -> float:
             hidden = policy.mlp_extractor.policy_net(features[chosen])
             loss = torch.nn.functional.mse_loss(policy.action_net(hidden), actions[chosen])
             optimizer.zero_grad()
-            loss.backward()
+            loss.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
             schedule.step()
             left = float(loss.detach())

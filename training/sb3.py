@@ -144,6 +144,9 @@ class NativeVecEnv(VecEnv):
 class Standardised(BaseFeaturesExtractor):
     """Observations minus a fixed mean over a fixed spread, part of the model's state; a gain of 0 hides a column."""
 
+    shift: torch.Tensor
+    gain: torch.Tensor
+
     def __init__(self, observation_space: spaces.Box) -> None:
         super().__init__(observation_space, int(observation_space.shape[0]))
         self.register_buffer("shift", torch.zeros(self.features_dim))
