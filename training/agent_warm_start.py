@@ -72,7 +72,7 @@ def imitate(model: Any, examples: Examples, seed: int) -> float:
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 5.0 * _RATE, total_steps=steps + 1)
     left = 0.0
     for _ in range(_PASSES):
-        for chosen in torch.randperm(len(features)).split(_BATCH)[: len(features) // _BATCH]:
+        for chosen in torch.randperm(len(features))[: len(features) // _BATCH * _BATCH].reshape(-1, _BATCH):
             hidden = policy.mlp_extractor.policy_net(features[chosen])
             loss = torch.nn.functional.mse_loss(policy.action_net(hidden), actions[chosen])
             optimizer.zero_grad()

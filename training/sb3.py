@@ -306,13 +306,14 @@ def export_policy(model: Any, config: AgentConfig, about: dict[str, Any]) -> Pol
     layers[0] = layers[0][0][:, :seen], layers[0][1]
     weight, bias = layers[-1]
     skip = np.zeros((len(bias), seen))
+    shift, gain = scales.shift, scales.gain
     if not isinstance(model, DQN):
         skip, layers[-1] = weight[:, config.hidden :][:, :seen], (weight[:, : config.hidden], bias)
     return Policy(
         tuple(layers),
         skip,
-        scales.shift.numpy().astype(np.float64)[:seen],
-        scales.gain.numpy().astype(np.float64)[:seen],
+        np.asarray(shift, dtype=np.float64)[:seen],
+        np.asarray(gain, dtype=np.float64)[:seen],
         view=config.view,
         factors=config.factors if config.discrete else (),
         covariance=config.covariance,
