@@ -103,7 +103,8 @@ def open_page(folder):
     to_browser, from_browser = os.dup(to_browser), os.dup(from_browser)
     process = subprocess.Popen(
         [program, "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run",
-         "--disable-background-networking", "--disable-component-update", "--host-resolver-rules=MAP * ~NOTFOUND",
+         "--disable-background-networking", "--disable-component-update",
+         "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
          f"--user-data-dir={folder}", "--remote-debugging-pipe", "about:blank"],
         preexec_fn=wire,  # noqa: PLW1509 - two dup2 and nothing else
         close_fds=False, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
