@@ -219,7 +219,6 @@ def test_everybody_sees_the_same_and_is_told_the_same():
     np.testing.assert_array_equal(one.truth.position[2], other.truth.position[0])
 
 
-@pytest.mark.skipif(not SETTINGS_FILE.exists(), reason="settings not chosen yet")
 def test_settings_are_used_and_were_chosen_on_other_seeds():
     table = json.loads(SETTINGS_FILE.read_text(encoding="utf-8"))
     assert table["seed"] == TRAINING_SEED < EVALUATION_SEED and "tune_bench.py" in table["command"]
@@ -419,7 +418,6 @@ def pages():
     return update_bench_pages
 
 
-@pytest.mark.skipif(not SETTINGS_FILE.exists(), reason="rows come with the settings")
 def test_pages_show_the_committed_rows(pages):
     for (page, marker), block in pages.blocks(pages.committed()).items():
         text = (ROOT / page).read_text(encoding="utf-8")
@@ -428,7 +426,6 @@ def test_pages_show_the_committed_rows(pages):
         assert block.count("\n|") >= 5 and "nan" not in block
 
 
-@pytest.mark.skipif(not SETTINGS_FILE.exists(), reason="rows come with the settings")
 @pytest.mark.parametrize("suite", SIMULATED)
 def test_committed_rows_are_whole(suite, pages):
     path = pages.ROWS / f"{suite.replace('-', '_')}.parquet"

@@ -18,7 +18,7 @@ __all__ = ["EVALUATION_SEED", "TRAINING_SEED", "simulate_runs", "typical_scales"
 
 EVALUATION_SEED, TRAINING_SEED = 100_000, 50_000
 """First run of a table unless told otherwise, and of what settings are chosen on. Run i has the seed of the first
-plus i; nothing that is learned or tuned uses a seed of 100 000 or above."""
+plus i; nothing that is learned or tuned uses seeds from 100 000 to 999 999."""
 _RUNS = 16
 
 
