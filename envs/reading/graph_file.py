@@ -137,6 +137,12 @@ def _links(path: Path, value: Any, index: dict[str, int]) -> NDArray[np.bool_]:
 
 
 def _weights(path: Path, value: Any, linked: NDArray[np.bool_]) -> NDArray[np.float64]:
+    apart = _unreached(linked)
+    if apart.size:
+        raise ValueError(
+            f"read_graph: {path.name} must link all nodes, over others if need be; got {apart.size} that the first "
+            f"cannot reach, such as number {apart[0]} of the list (from 0). Add a link."
+        )
     if value is None:
         weights: Any = metropolis_weights(linked)
     else:
@@ -149,3 +155,11 @@ def _weights(path: Path, value: Any, linked: NDArray[np.bool_]) -> NDArray[np.fl
     except ValueError as error:
         rule = str(error).partition(": ")[2].partition(" must ")[2]
         raise ValueError(f"read_graph: {path.name} must have weights and links that {rule}") from error
+
+
+def _unreached(linked: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Nodes that the first cannot reach."""
+    reached = np.arange(len(linked)) == 0
+    for _ in range(len(linked)):
+        reached = reached | linked[reached].any(axis=0)
+    return np.flatnonzero(~reached)
