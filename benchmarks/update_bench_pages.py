@@ -44,6 +44,11 @@ def shown_share(value):
     return "-" if math.isnan(value) else f"{100 * value:.3g} %"
 
 
+def with_half(value):
+    half = (value.high - value.low) / 2
+    return number(value.value, 3) + (f" ±{half:.2g}" if half > 1e-6 * value.value else "")
+
+
 def suite_block(rows, suite):
     """The ladder of a suite, then its scenarios."""
     mine = rows[rows["suite"] == suite]
@@ -73,7 +78,7 @@ def suite_block(rows, suite):
     lines = []
     for scenario in dict.fromkeys(each.scenario for each in found):
         numbers = [values.get((scenario, name)) for name in shown]
-        cells = ["-" if n is None else f"{number(n.value, 3)} ±{(n.high - n.low) / 2:.2g}" for n in numbers]
+        cells = ["-" if n is None else with_half(n) for n in numbers]
         lines.append([scenario.removesuffix("-v0"), *cells])
     text += ["", *table(["RMS position, m", *(f"`{name}`" for name in shown)], lines)]
     return "\n".join(text) + "\n"
