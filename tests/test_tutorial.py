@@ -10,11 +10,23 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
-PAGES = ["tutorial.md", "extending.md", *sorted(p.relative_to(DOCS).as_posix() for p in DOCS.glob("families/*.md"))]
+ELSEWHERE = {
+    "adaptive_factor.md": "test_pages.py",
+    "environments.md": "test_pages.py",
+    "intents.md": "test_intents_page.py",
+    "manoeuvring_target.md": "test_pages.py",
+    "multi_target.md": "test_track_many.py",
+    "scenarios.md": "test_pages.py",
+}
+"""Pages whose blocks another file runs."""
 
 
 def blocks_of(page):
     return re.findall(r"^```(python|bash)\n(.*?)^```$", (DOCS / page).read_text(encoding="utf-8"), re.S | re.M)
+
+
+EVERY = sorted(page.relative_to(DOCS).as_posix() for page in DOCS.rglob("*.md"))
+PAGES = [page for page in EVERY if blocks_of(page) and page not in ELSEWHERE]
 
 
 def run_shell(body):
@@ -44,6 +56,11 @@ def test_blocks_run_in_order(page, tmp_path, monkeypatch, capsys):
         assert {"imm.png", "joint.png", "report.html", "rows.parquet"} <= {p.name for p in tmp_path.iterdir()}
         errors = {name: float(value) for name, value in re.findall(r"^([\w.:-]+): ([\d.]+) m", said, re.M)}
         assert errors["oracle"] < errors["joint-imm"] < errors["imm"] and "mine.py:Fading" in errors
+
+
+@pytest.mark.parametrize("page", ELSEWHERE)
+def test_the_others_are_run_elsewhere(page):
+    assert page in (ROOT / "tests" / ELSEWHERE[page]).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("script", ["my_estimator", "my_scenario", "stone_soup_tracker"])

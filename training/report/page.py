@@ -9,7 +9,6 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from plotly.offline import get_plotlyjs
 
@@ -52,8 +51,7 @@ def make_page(rows: pd.DataFrame, title: str = "Jink benchmark", source: str = "
     """The page as text; arguments and errors as `write_report`."""
     if rows.empty:
         raise ValueError("report: rows must not be empty; got none. Run jink bench --out rows.parquet first.")
-    with np.errstate(all="ignore"):
-        scenes, failures = collect(rows)
+    scenes, failures = collect(rows)
     first = min(range(len(scenes)), key=lambda i: _rank(scenes[i], i))
     facts = {"scenes": len(scenes), "first": first}
     parts = [

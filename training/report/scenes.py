@@ -110,7 +110,9 @@ def collect(rows: pd.DataFrame) -> tuple[tuple[Scene, ...], tuple[Failure, ...]]
     compared: dict[tuple[str, str, str], dict[str, Any]] = {}
     for metric in METRICS:
         base = BASE if metric in _COMPARED else ""
-        for one in compare(rows, metric, base=base):
+        with np.errstate(all="ignore"):  # ratios of zeros: nothing lost over nothing lost
+            found = compare(rows, metric, base=base)
+        for one in found:
             compared.setdefault((one.suite, one.scenario, one.estimator), {})[metric] = one
     scenes = []
     for (suite, scenario), mine in rows.groupby(["suite", "scenario"], sort=False):
