@@ -168,7 +168,8 @@ def save(path: Path | None, numbers: Mapping[str, Measured], **more: object) -> 
     """Write numbers with their intervals, the command and the versions."""
     if path is None:
         return
-    command = " ".join(["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
+    given = [Path(a).name if Path(a).is_absolute() else a for a in sys.argv[1:]]
+    command = " ".join(["python", f"benchmarks/{Path(sys.argv[0]).name}", *given])
     rows = {name: number._asdict() for name, number in numbers.items()}
     path.write_text(json.dumps({"command": command, **more, "machine": machine(), "rows": rows}, indent=1) + "\n")
 

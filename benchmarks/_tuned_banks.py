@@ -171,8 +171,8 @@ def _oracle_motion(intent: str) -> tuple[Callable[..., Motion], int]:
     return (_straight, 1) if intent == "straight" else (_accelerate, 2)
 
 
-def oracle_family(intents: Sequence[str]) -> Family:
-    """One library motion per true intent."""
+def oracle_family(intents: Sequence[str]) -> tuple[Family, Callable[[Floats], Floats]]:
+    """One library motion per true intent, and its scales where they are those of a library bank."""
     kinds = [(name, *_oracle_motion(name)) for name in intents]
     library = {_straight: slice(0, 1), _turn: slice(1, 4), _accelerate: slice(4, 6), _weave: slice(6, 10)}
 
@@ -180,7 +180,12 @@ def oracle_family(intents: Sequence[str]) -> Family:
         logs = _library_start(acceleration, turn_rate, sojourn)
         return np.concatenate([*(logs[library[motion]] for _, motion, _ in kinds), [math.log(sojourn)] * len(kinds)])
 
-    return Family(_many(kinds, "birth"), start)
+    def from_library(logs: Floats) -> Floats:
+        sojourns = {_straight: 10, _turn: 11, _accelerate: 12, _weave: 13}
+        scales = [logs[library[motion]] for _, motion, _ in kinds]
+        return np.concatenate([*scales, [logs[sojourns[motion]] for _, motion, _ in kinds]])
+
+    return Family(_many(kinds, "birth"), start), from_library
 
 
 def run_oracle(bank: Bank, episodes: Episodes) -> Estimates:
@@ -190,11 +195,20 @@ def run_oracle(bank: Bank, episodes: Episodes) -> Estimates:
     return oracle(bank, episodes.measurements, episodes.times, intents=told, prior=prior)
 
 
-def oracle_scales(family: Family, sensor: Sensor, episodes: Episodes, iterations: int = 10) -> Floats:
-    """Logs of the oracle's scales by likelihood on training episodes with the intents told; (K,)."""
+def oracle_scales(family: Family, sensor: Sensor, episodes: Episodes, first: Floats, iterations: int = 10) -> Floats:
+    """Logs of the oracle's scales by likelihood on training episodes with the intents told; (K,).
+
+    Args:
+        family: of the oracle.
+        sensor: of the scenario.
+        episodes: to choose on.
+        first: one more point to begin from, beside the grid.
+        iterations: of the climb.
+    """
 
     def rows(logs: Floats) -> Floats:
         return np.asarray(run_oracle(family.make(logs, sensor), episodes).log_likelihood[:, 1:].ravel())
 
-    start = max((family.start(*point) for point in _GRID), key=lambda logs: float(rows(logs).mean()))
+    starts = [first, *(family.start(*point) for point in _GRID)]
+    start = max(starts, key=lambda logs: float(np.nan_to_num(rows(logs), nan=-1e3).mean()))
     return _climbed(rows, start, iterations)

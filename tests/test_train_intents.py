@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -337,6 +338,18 @@ def test_show_prints_and_draws(tmp_path, capsys, monkeypatch):
     assert "MODEL: value must be a folder that jink train intents wrote" in refused(capsys, "show", tmp_path / "none")
     (tmp_path / "m" / MODEL_FILE).write_text("{}")
     assert "MODEL: intents.json must have format" in refused(capsys, "show", tmp_path / "m")
+
+
+def test_a_template_lasts_as_long_as_its_phases(tmp_path, capsys):
+    made = stand_in_model()
+    straight, turn = made.intents
+    (phase,) = straight.phases
+    two = replace(straight, phases=(replace(phase, duration=7.0), phase))
+    save_model(made.with_(intents=(two, turn)), tmp_path / "m")
+    alone = 1.0 / -made.generator[0][0]
+    assert run("show", tmp_path / "m") == 0
+    text = capsys.readouterr().out
+    assert re.search(rf"straight +- +100 % +{7 + alone:.3g} s", text) and f"lasts {7 + alone:.2g} s" in text
 
 
 @pytest.mark.parametrize("axes", [2, 3])

@@ -14,7 +14,7 @@ from rich.markup import escape
 from jink.estimators.tracks import Tracks
 from jink.intent.describing import describe_phase
 from jink.intent.model import IntentModel
-from jink.training.intent_drawing import leaving_rates
+from jink.training.intent_drawing import lasting, leaving_rates
 from jink.training.intent_graphs import CurvePoint
 from jink.training.summary import number, plain_table
 from jink.training.wording import counted
@@ -56,7 +56,8 @@ def print_model(console: Console, model: IntentModel) -> None:
             shares = [
                 "-" if i == j or out <= 0 else f"{100 * rate / out:.0f} %" for j, rate in enumerate(model.generator[i])
             ]
-            table.add_row(escape(intent.name), *shares, f"{1 / out:.3g} s" if out > 0 else "never")
+            before = sum(phase.duration for phase in intent.phases[:-1])
+            table.add_row(escape(intent.name), *shares, f"{before + 1 / out:.3g} s" if out > 0 else "never")
         console.print(table)
 
 
@@ -140,7 +141,7 @@ def _intent_table(model: IntentModel) -> list[str]:
     lines = ["| intent | what it does | lasts, s | share | wobble, m/s^2 per root Hz |", "|---|---|---|---|---|"]
     for i, intent in enumerate(model.intents):
         does = ", then ".join(describe_phase(phase) for phase in intent.phases)
-        lasts = number(1.0 / float(rates[i]), 3) if rates[i] > 0 else "never ends"
+        lasts = number(lasting(model, i), 3) if rates[i] > 0 else "never ends"
         wobble = number(float(np.sqrt(intent.phases[-1].law.wobble)), 3)
         name = intent.name.replace("|", "/")
         lines.append(f"| {name} | {does} | {lasts} | {100 * shares[i]:.0f} % | {wobble} |")
