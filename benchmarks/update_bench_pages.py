@@ -8,18 +8,23 @@ The rows come from `jink bench`, shortened by commit_rows.py. A test compares th
 import math
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 from update_readme import number, replace_block
 
+from jink.envs.scenarios import SUITES
 from jink.training.bench_jobs import SIMULATED
-from jink.training.ladder.pairing import compare, compare_suites, in_order
-from jink.training.ladder.rungs import LADDER
+from jink.training.intervals import Score, measure, resample_runs
+from jink.training.ladder.pairing import compare, compare_suites, in_order, pool_runs
+from jink.training.ladder.rungs import FACTORS, LADDER
 from jink.training.rows import read_rows
+from jink.training.weighted import interquartile_mean
 
 ROOT = Path(__file__).resolve().parent.parent
 ROWS = ROOT / "docs" / "results"
 WIDE = ("raw", "kf-cv", "mahalanobis", "imm", "student-t-imm", "robust-imm", "sage-husa", "intent-imm", "joint-imm",
         "agent", "oracle", "bound")  # fmt: skip
+FIXED, CLOSERS = ("kf-cv", *FACTORS), ("joint-imm", "agent")
 MEANS = ("nees_inside", "lost", "diverged", "microseconds_per_step")
 
 
@@ -84,9 +89,37 @@ def suite_block(rows, suite):
     return "\n".join(text) + "\n"
 
 
+def gap_block(rows):
+    """How much of the way from the best fixed factor to the oracle the agent and the joint bank go; by IQM."""
+    pooled = pool_runs(rows, "position_rmse")
+    lines = []
+    for suite in ("surge", "joint"):
+        for scenario in SUITES[suite]:
+            runs = {name: pooled[suite, scenario, name].values for name in (*FIXED, "robust-imm", *CLOSERS, "oracle")}
+            middle = {name: interquartile_mean(values) for name, values in runs.items()}
+            count = len(runs["oracle"])
+            plain = {name: float(statistic(np.ones((1, count)))[0]) for name, statistic in middle.items()}
+            best = min(FIXED, key=plain.__getitem__)
+            scores = {name: Score(closed(middle[best], middle[name], middle["oracle"]), "") for name in CLOSERS}
+            numbers = measure(scores, resample_runs(count, 0))
+            cells = [
+                f"{number(plain[best], 3)} (`{best}`)",
+                *(number(plain[n], 3) for n in ("robust-imm", *CLOSERS, "oracle")),
+            ]
+            cells += [f"{100 * n.value:.0f} % [{100 * n.low:.0f}, {100 * n.high:.0f}]" for n in numbers.values()]
+            lines.append([scenario.removesuffix("-v0"), *cells])
+    heading = ["IQM of RMS position, m", "best fixed", *(f"`{n}`" for n in ("robust-imm", *CLOSERS, "oracle"))]
+    return "\n".join(table([*heading, *(f"`{name}` closes" for name in CLOSERS)], lines)) + "\n"
+
+
+def closed(start, reached, goal):
+    return lambda weights: (start(weights) - reached(weights)) / (start(weights) - goal(weights))
+
+
 def blocks(rows):
     """Page and marker -> text."""
-    return {("docs/results.md", f"bench-{suite}"): suite_block(rows, suite) for suite in SIMULATED}
+    found = {("docs/results.md", "bench-gap"): gap_block(rows)}
+    return found | {("docs/results.md", f"bench-{suite}"): suite_block(rows, suite) for suite in SIMULATED}
 
 
 def main():

@@ -1,5 +1,6 @@
 """The ladder of `jink bench`: scores, pairing, cells that anybody reproduces, files that survive, any backend."""
 
+import io
 import json
 import os
 import re
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from rich.console import Console
 
 from jink.envs.scenarios import SUITES, make_scenario
 from jink.estimators.api import Estimates
@@ -23,6 +25,7 @@ from jink.training.ladder.pairing import compare, compare_suites, pool_runs
 from jink.training.ladder.rungs import LADDER, NoSuchRung, make_follower
 from jink.training.ladder.scores import METRICS, Readings, score_runs
 from jink.training.ladder.settings import SETTINGS_FILE, Settings, settings_of
+from jink.training.ladder.table import print_ladder
 from jink.training.ladder.typical import EVALUATION_SEED, TRAINING_SEED, simulate_runs
 from jink.training.row_writer import RowWriter, remove_leftovers
 from jink.training.rows import COLUMNS, Cell, make_rows, read_rows
@@ -438,6 +441,19 @@ def test_committed_rows_are_whole(suite, pages):
     assert rows["command"].str.startswith(f"jink bench --suite {suite} --scenario ").all()
     assert (rows["seed"] >= EVALUATION_SEED).all()
     assert not re.search(r"(?<![\w.])/\w+/|\\\\Users", rows.drop(columns=["at", "samples"]).to_csv())
+
+
+def test_the_grid_breaks_into_tables_that_fit():
+    rows = pd.concat(
+        number_rows([12.5] * 6, estimator=name, scenario=f"a-long-scenario-{k}-v0")
+        for name in ("imm", "my_estimator.py:AlphaBeta")
+        for k in range(9)
+    )
+    out = io.StringIO()
+    print_ladder(Console(file=out, width=100), rows)
+    text = out.getvalue()
+    assert all(f"a-long-scenario-{k}" in text for k in range(9)) and text.count("my_estimator.py:AlphaBeta") >= 3
+    assert text.count("12.5 ±0") == 18 and max(map(len, text.splitlines())) <= 100
 
 
 # Files.

@@ -78,20 +78,27 @@ def _print_scenario(console: Console, found: list[Comparison], extra: Mapping[tu
 
 
 def _print_grid(console: Console, found: list[Comparison], scenarios: list[str]) -> None:
-    numbers = {(each.estimator, each.scenario): each for each in found}
-    table = plain_table(
-        "estimator",
-        *(name.removesuffix("-v0") for name in scenarios),
-        title=f"{found[0].suite}: RMS position m ± half of its 95 % interval, {found[0].runs} runs",
-    )
-    _keep_whole(table)
-    for estimator in dict.fromkeys(each.estimator for each in found):
-        cells = []
-        for scenario in scenarios:
-            each = numbers.get((estimator, scenario))
-            cells.append("-" if each is None else with_half(each.value))
-        table.add_row(estimator, *cells)
-    console.print(table)
+    """Estimators by scenarios, in as many tables as the width asks for."""
+    numbers = {(each.estimator, each.scenario): with_half(each.value) for each in found}
+    names = list(dict.fromkeys(each.estimator for each in found))
+    title = f"{found[0].suite}: RMS position m ± half of its 95 % interval, {found[0].runs} runs"
+    room = console.width - max(map(len, ("estimator", *names))) - 4
+    parts: list[list[str]] = [[]]
+    left = room
+    for scenario in scenarios:
+        width = 3 + max(len(scenario.removesuffix("-v0")), *(len(numbers.get((name, scenario), "-")) for name in names))
+        if width > left and parts[-1]:
+            parts.append([])
+            left = room
+        parts[-1].append(scenario)
+        left -= width
+    for part in parts:
+        table = plain_table("estimator", *(name.removesuffix("-v0") for name in part), title=title)
+        _keep_whole(table)
+        for name in names:
+            table.add_row(name, *(numbers.get((name, scenario), "-") for scenario in part))
+        console.print(table)
+        title = ""
 
 
 def _print_suite(console: Console, rows: pd.DataFrame, extra: Mapping[tuple[str, str, str], float]) -> None:
@@ -100,7 +107,13 @@ def _print_suite(console: Console, rows: pd.DataFrame, extra: Mapping[tuple[str,
         title=f"the whole suite: geometric mean of the ratios to {BASE} [95 %, paired]; means of the rest",
     )  # fmt: skip
     _keep_whole(table)
-    for each in in_order(compare_suites(rows), LADDER):
+    overall = in_order(compare_suites(rows), LADDER)
+    if not overall:
+        console.print(
+            f"no {BASE} among the estimators, so nothing to compare with: add --estimator {BASE}", style="dim"
+        )
+        return
+    for each in overall:
         means = {
             name: [value for (_, one, metric), value in extra.items() if one == each.estimator and metric == name]
             for name in _MEANS
