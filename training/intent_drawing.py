@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from jink.intent.model import IntentModel
 from jink.training.plotting import MODE_COLOURS
 
-__all__ = ["STYLE", "colour_of", "lasting", "leaving_rates", "save_figure"]
+__all__ = ["STYLE", "colour_of", "lasting", "leaving_rates", "save_figure", "spell"]
 
 Floats = NDArray[np.float64]
 DPI = 150
@@ -37,6 +37,11 @@ def leaving_rates(model: IntentModel) -> Floats:
 def lasting(model: IntentModel, number: int) -> float:
     """Mean duration of an intent with all its phases; s."""
     return sum(phase.duration for phase in model.intents[number].phases[:-1]) + 1.0 / leaving_rates(model)[number]
+
+
+def spell(seconds: float) -> str:
+    """A duration in two digits, or in whole seconds; no exponent."""
+    return f"{seconds:.2g} s" if seconds < 100.0 else f"{seconds:.0f} s"
 
 
 def save_figure(figure: Any, path: Path) -> None:

@@ -21,7 +21,7 @@ from jink.intent.describing import describe_phase
 from jink.intent.features import encode
 from jink.intent.model import IntentModel
 from jink.intent.window import choose_window
-from jink.training.intent_drawing import STYLE, colour_of, lasting, leaving_rates, save_figure
+from jink.training.intent_drawing import STYLE, colour_of, lasting, leaving_rates, save_figure, spell
 from jink.training.intent_graphs import draw_graph
 
 __all__ = ["draw_model", "plot_clusters", "plot_rollouts", "sample_rollouts", "typical_speed"]
@@ -33,6 +33,7 @@ _SURE = 3.0  # speed over its standard deviation, below which a turn rate means 
 _ROWS = 7.0  # median time steps, below which a window says nothing
 _SHORTEST, _LONGEST, _STRETCH = 2.0, 120.0, 1.5  # s, s, mean durations
 _MARKS = 13
+_FAR = 4.0
 _CLEAR, _SEEN = 0.8, (0.01, 0.99)  # shares of rows that are drawn, and that limits of axes hold at least
 
 
@@ -139,10 +140,10 @@ def _draw_rollouts(figure: Any, model: IntentModel, rows: int, columns: int, see
     rates, shares = leaving_rates(model), model.intent_probs(model.mode_shares())
     for number, intent in enumerate(model.intents):
         axis = figure.add_subplot(rows, columns, number + 1, **kind)
-        for place in sample_rollouts(model, number, rng):
+        for place in _within_reach(sample_rollouts(model, number, rng)):
             axis.plot(*place.T, "-", color=colour_of(number), lw=0.9, alpha=0.55, marker="o", ms=2, markevery=_MARKS)
         axis.plot(*np.zeros((model.axes, 1)), "o", color="black", ms=3)
-        lasts = f"lasts {lasting(model, number):.2g} s" if rates[number] > 0 else "never ends"
+        lasts = f"lasts {spell(lasting(model, number))}" if rates[number] > 0 else "never ends"
         axis.set_title(f"{intent.name}\n{100 * shares[number]:.0f} % of the time, {lasts}", fontsize=8)
         if model.axes == 2:
             axis.set_aspect("equal", adjustable="datalim")
@@ -157,6 +158,12 @@ def _draw_rollouts(figure: Any, model: IntentModel, rows: int, columns: int, see
             side.set_major_locator(MaxNLocator(4))
     said = f"m, from the black dot at {speed:.3g} m/s, for 1.5 mean durations, without noise"
     figure.supxlabel(f"{said};\ndots are equally far apart in time", fontsize=8)
+
+
+def _within_reach(paths: list[Floats]) -> list[Floats]:
+    """Paths cut where they go several times as far as most do: a rare birth may grow without end."""
+    reach = _FAR * float(np.median([np.linalg.norm(path, axis=1).max() for path in paths]))
+    return [np.where(np.linalg.norm(path, axis=1, keepdims=True) <= reach, path, np.nan) for path in paths]
 
 
 def _draw_own(model: IntentModel, number: int, rng: np.random.Generator) -> tuple[int, Floats]:
