@@ -42,6 +42,7 @@ NAMES = (
     "joint-imm",
     "sage-husa",
     "vb-noise",
+    "agent",
 )
 BASES = ("kf-cv", "student-t", "student-t-imm")
 

@@ -66,7 +66,8 @@ class AgentConfig:
             the ``oracle``'s inflation, or nothing; continuous only.
         informed: while learning, the critic sees the truth (errors, true noise); the agent never does; ppo only.
         critic_first: share of the steps in which only the critic learns, before all; ppo only.
-        log_std: logarithm of the standard deviation of the first actions; continuous only.
+        log_std: logarithm of the standard deviation of the first actions, continuous only; None: -3.5 with a warm
+            start, whose good filter larger noise would spoil, else -1.
         rounds: pieces of the training; each starts new episodes, and ends with an evaluation and a checkpoint.
         episodes: of an evaluation.
 
@@ -98,7 +99,7 @@ class AgentConfig:
     warm_start: str = "advice"
     informed: bool = True
     critic_first: float = 0.08
-    log_std: float = -3.5
+    log_std: float | None = None
     rounds: int = 5
     episodes: int = 200
 
@@ -109,6 +110,8 @@ class AgentConfig:
                 _refuse(name, f"be an integer from {low} to {high}", value, "Leave it out if in doubt.")
         for name, (lower, upper) in _REAL.items():
             value = getattr(self, name)
+            if name == "log_std" and value is None:
+                continue
             real = isinstance(value, float | int) and not isinstance(value, bool) and math.isfinite(value)
             if not real or not (lower <= value <= upper):
                 _refuse(name, f"be a number from {lower:g} to {upper:g}", value, "Leave it out if in doubt.")
@@ -139,6 +142,13 @@ class AgentConfig:
             _refuse("suite", "be given, or a scenario, not both", (self.suite, self.scenario), "Drop one.")
         if self.discrete and (len(self.factors) < 2 or not set(self.factors) <= set(FACTORS)):
             _refuse("factors", f"be at least two of {', '.join(FACTORS)}", self.factors, "See jink list.")
+
+    @property
+    def first_log_std(self) -> float:
+        """Logarithm of the standard deviation of the first actions."""
+        if self.log_std is not None:
+            return self.log_std
+        return -1.0 if self.copies == "none" else -3.5
 
     @property
     def copies(self) -> str:

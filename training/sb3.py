@@ -196,7 +196,7 @@ def make_model(config: AgentConfig, env: VecEnv) -> Any:
             buffer_size=300_000, learning_starts=0, target_update_interval=8, exploration_fraction=0.3,
             exploration_final_eps=0.02, max_grad_norm=10.0, **common,
         )  # fmt: skip
-    kwargs |= {"log_std_init": config.log_std, "share_features_extractor": not config.informed}
+    kwargs |= {"log_std_init": config.first_log_std, "share_features_extractor": not config.informed}
     common |= {
         "n_steps": config.horizon, "batch_size": config.minibatch, "n_epochs": config.epochs,
         "gae_lambda": config.trace, "clip_range": config.clip, "ent_coef": config.entropy,
