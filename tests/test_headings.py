@@ -11,7 +11,9 @@ from jink.intent.first_guess import guess, shaky
 from jink.intent.headings import heading_tracks
 from jink.intent.joining import alike, merge, settled, tidy
 from jink.intent.laws import Birth, Law, Phase
+from jink.intent.learner import IntentLearner
 from jink.intent.model import Intent, IntentModel
+from jink.intent.segmentation_scores import score_segmentation
 from jink.intent.selection import freedom, row_scores, shorter_models, smaller_models
 from jink.intent.sides import keeps_side, spell_turn
 
@@ -134,3 +136,32 @@ def test_a_template_may_lose_a_phase_and_lasts_as_long():
         assert -1.0 / one.generator[0][0] == pytest.approx(last)
         assert one.intent_probs(one.mode_shares())[0] == pytest.approx(9.0 / 11.0)
         assert freedom(one) < freedom(model)
+
+
+def waggling(tracks=6, rows=120, seed=4):
+    """Spells of 20 to 50 rows: turns that shake, to either side, and swings with a period of 2.4 rows; their labels."""
+    rng = np.random.default_rng(seed)
+    angle, labels = np.zeros((tracks, rows)), np.empty((tracks, rows), dtype="<U5")
+    for b in range(tracks):
+        now, left, word = rng.uniform(0.0, 6.0), 0, ""
+        for k in range(rows):
+            if left == 0:
+                word = str(rng.choice([other for other in ("swing", "left", "right") if other != word]))
+                left = int(rng.integers(20, 50))
+            left -= 1
+            labels[b, k] = word
+            swings = word == "swing"
+            now += rng.normal(scale=0.02) if swings else {"left": 0.13, "right": -0.13}[word] + rng.normal(scale=0.15)
+            angle[b, k] = now + swings * (0.3 * np.sin(2.0 * np.pi * k / 2.4) + rng.normal(scale=0.03))
+    return angle, labels
+
+
+def test_swings_that_no_window_resolves_are_found():
+    """The learner begins where windows see nothing: turns that shake, and weaves of little more than two rows."""
+    angle, labels = waggling()
+    tracks = heading_tracks(angle, np.arange(angle.shape[1]) / 30.0)
+    learner = IntentLearner(2, 2, seed=0, threads=1, most=4, heat=8, first=25, rounds=0, last=15).fit(tracks)
+    swings = [intent.phases[0].law.swing for intent in learner.model_.intents]
+    found = score_segmentation(learner.segment(tracks), np.where(labels == "swing", "swing", "turn"), 0.2)
+    assert found.accuracy > 0.9, learner.model_.describe()
+    assert any(swing and 2.0 * np.pi / swing[0] == pytest.approx(2.4 / 30.0, rel=0.1) for swing in swings)
