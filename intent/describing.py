@@ -8,10 +8,11 @@ from collections.abc import Sequence
 from jink.intent.laws import Phase
 from jink.intent.sides import spell_turn
 
-__all__ = ["describe_intent", "describe_phase"]
+__all__ = ["describe_intent", "describe_phase", "weaves"]
 
 _STILL_TURN = math.radians(0.5)  # rad/s: slower than this nobody calls a turn
 _STILL_GROWTH = 0.005  # 1/s
+_STILL_SWAY = math.radians(2.0)  # rad: a course that sways by less is a straight line that trembles
 _RIVAL = 3.0
 _ENDLESS = 1e9  # s
 
@@ -34,17 +35,23 @@ def describe_intent(number: int, name: str, phases: Sequence[Phase], leaving: fl
     return f"{label}: {doing}, {spell}, {100 * share:.0f} % of the time"
 
 
+def weaves(phase: Phase) -> bool:
+    """A weave that shows: one that hardly moves the course is a straight line that trembles."""
+    swing = phase.law.swing
+    return swing is not None and max(abs(b.turn_mean) + b.turn_sd for b in phase.births) > _STILL_SWAY * swing[0]
+
+
 def describe_phase(phase: Phase, spell: float = math.inf) -> str:
     """What a target does in one phase that lasts ``spell`` seconds; turn rates are those of whole spells."""
     law = phase.law
     turns = [spell_turn(phase, birth, min(spell, _ENDLESS)) for birth in phase.births]
     low_turn, high_turn, sign = _span(turns, 0.0)
     low, high, growing = _span([(b.growth_mean, b.growth_sd) for b in phase.births], law.growth_mean)
-    if law.swing is not None:
+    if law.swing is not None and weaves(phase):
         period = 2.0 * math.pi / law.swing[0]
         return f"weave of {_short(period)} s, up to {_short(math.degrees(high_turn))} deg/s"
     parts = []
-    turning, changing = high_turn > _STILL_TURN, high > _STILL_GROWTH
+    turning, changing = law.swing is None and high_turn > _STILL_TURN, high > _STILL_GROWTH
     if turning and changing:
         turning, changing = high_turn * _RIVAL > high, high * _RIVAL > high_turn
     if turning:

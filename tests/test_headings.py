@@ -7,6 +7,7 @@ import pytest
 
 from jink.intent.bank_torch import make_batch
 from jink.intent.climbing import climb
+from jink.intent.describing import describe_phase
 from jink.intent.first_guess import guess, shaky
 from jink.intent.headings import heading_tracks
 from jink.intent.joining import alike, merge, settled, tidy
@@ -165,3 +166,9 @@ def test_swings_that_no_window_resolves_are_found():
     found = score_segmentation(learner.segment(tracks), np.where(labels == "swing", "swing", "turn"), 0.2)
     assert found.accuracy > 0.9, learner.model_.describe()
     assert any(swing and 2.0 * np.pi / swing[0] == pytest.approx(2.4 / 30.0, rel=0.1) for swing in swings)
+
+
+def test_a_weave_that_nobody_would_see_is_called_straight():
+    law = Law(2, swing=(3.0, 0.1), wobble=0.01)
+    seen, unseen = (Phase(law, (Birth(1.0, 0.0, 1e-4, 0.0, rate),)) for rate in (0.5, 0.05))
+    assert describe_phase(seen).startswith("weave of 2.1 s") and describe_phase(unseen) == "straight"
