@@ -28,7 +28,7 @@ def pruned(trainer: Trainer, model: IntentModel, everything: Batch) -> IntentMod
     settings = trainer.settings
     rows = max(float(everything.rows), 1.0)
     while True:
-        value = trainer.mean(model, everything)
+        values = _values(trainer, model, everything)
         simpler = list(smaller_models(model)) if len(model.intents) > 2 else []
         simpler += shorter_models(model)
         if not simpler:
@@ -39,13 +39,17 @@ def pruned(trainer: Trainer, model: IntentModel, everything: Batch) -> IntentMod
         )
         begun, _, candidate = ranked[0]
         charge = 0.5 * (freedom(model) - freedom(candidate)) * math.log(rows) / rows
-        if begun < value - _HOPE * charge:
+        if begun < values[0] - _HOPE * charge:
             return model
         smaller = tidy(trainer.climb(candidate, everything, "prune", settings.fewer))
-        if trainer.mean(smaller, everything) < value - charge:
+        if any(new < old - charge for new, old in zip(_values(trainer, smaller, everything), values, strict=True)):
             return model
         model = smaller
-    return model
+
+
+def _values(trainer: Trainer, model: IntentModel, everything: Batch) -> tuple[float, float]:
+    """Nats per row with the floor that outliers get and without: rare phases show in the second alone."""
+    return trainer.mean(model, everything), trainer.mean(model, everything, whole=True)
 
 
 def fewer_births(trainer: Trainer, model: IntentModel, fit: Batch) -> IntentModel:

@@ -122,7 +122,7 @@ class Trainer:
         """Log-likelihood and measured rows of each track; (B,) twice."""
         return track_scores(model, batch, self.floor, self.settings.threads)
 
-    def mean(self, model: IntentModel, batch: Batch) -> float:
-        """Log-likelihood per measured row, nats."""
-        scores, rows = self.score(model, batch)
+    def mean(self, model: IntentModel, batch: Batch, *, whole: bool = False) -> float:
+        """Log-likelihood per measured row, nats; ``whole``: without the floor that outliers get."""
+        scores, rows = track_scores(model, batch, -math.inf if whole else self.floor, self.settings.threads)
         return float(scores.sum() / max(float(rows.sum()), 1.0))

@@ -1,6 +1,7 @@
 """Recorded directions as tracks, turns that shake about their rate, and which side a spell keeps to."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,9 +15,11 @@ from jink.intent.joining import alike, merge, settled, tidy
 from jink.intent.laws import Birth, Law, Phase
 from jink.intent.learner import IntentLearner
 from jink.intent.model import Intent, IntentModel
+from jink.intent.pruning import pruned
 from jink.intent.segmentation_scores import score_segmentation
 from jink.intent.selection import freedom, row_scores, shorter_models, smaller_models
 from jink.intent.sides import keeps_side, spell_turn
+from jink.intent.trainer import Settings
 
 STEP = 0.1
 
@@ -172,3 +175,20 @@ def test_a_weave_that_nobody_would_see_is_called_straight():
     law = Law(2, swing=(3.0, 0.1), wobble=0.01)
     seen, unseen = (Phase(law, (Birth(1.0, 0.0, 1e-4, 0.0, rate),)) for rate in (0.5, 0.05))
     assert describe_phase(seen).startswith("weave of 2.1 s") and describe_phase(unseen) == "straight"
+
+
+@pytest.mark.parametrize(("rare", "left"), [(0.0, 2), (0.5, 3)])
+def test_pruning_looks_at_what_the_floor_of_outliers_hides(rare, left):
+    """An intent of few rows costs nothing under the floor; without the floor it does, and stays."""
+
+    class Trained:
+        settings = Settings()
+
+        def climb(self, model, batch, stage, steps):
+            return model
+
+        def mean(self, model, batch, *, whole=False):
+            return -9.8 - whole * rare * (3 - len(model.intents))
+
+    model = settled(twins())
+    assert len(pruned(Trained(), model, SimpleNamespace(rows=5000)).intents) == left
