@@ -146,19 +146,21 @@ def alike(one: Phase, two: Phase) -> bool:
     swings = [phase.law.swing[0] for phase in (one, two) if phase.law.swing is not None]
     if swings and abs(math.log(swings[0] / swings[1])) > _SAME_PERIOD:
         return False
-    a, b = (_one_birth(phase.births) for phase in (one, two))
+    if len(one.births) != len(two.births):
+        return False
+    return all(_alike(a, b) for a, b in zip(*(sorted(p.births, key=_place) for p in (one, two)), strict=True))
+
+
+def _place(birth: Birth) -> tuple[float, float]:
+    return birth.growth_mean, birth.turn_mean
+
+
+def _alike(a: Birth, b: Birth) -> bool:
     pairs = ((a.growth_mean, a.growth_sd, b.growth_mean, b.growth_sd), (a.turn_mean, a.turn_sd, b.turn_mean, b.turn_sd))
-    for mean, sd, other, other_sd in pairs:
-        if abs(mean - other) > math.hypot(sd, other_sd) or max(sd, other_sd) > _SAME_SPREAD * min(sd, other_sd):
-            return False
-    return True
-
-
-def _one_birth(births: Sequence[Birth]) -> Birth:
-    left = list(births)
-    while len(left) > 1:
-        left = closest_joined(left)
-    return left[0]
+    return not any(
+        abs(mean - other) > math.hypot(sd, other_sd) or max(sd, other_sd) > _SAME_SPREAD * min(sd, other_sd)
+        for mean, sd, other, other_sd in pairs
+    )
 
 
 def append(model: IntentModel, first: int, second: int) -> IntentModel | None:

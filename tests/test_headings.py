@@ -123,6 +123,10 @@ def test_twins_are_one_intent_that_begins_anew():
     assert any(how == "a is b" for how, _ in smaller_models(model))
     assert merge(twins(0.5), 0, 1, renewed=True) is None
     assert not alike(model.intents[0].phases[0], model.intents[2].phases[0])
+    # speeding up and slowing down together spread like a wide straight, and are none
+    still = Phase(Law(2), (Birth(1.0, 0.0, 0.02, 0.0, 0.01),))
+    changing = Phase(Law(2), tuple(Birth(0.5, side * 0.03, 0.01, 0.0, 0.01) for side in (1.0, -1.0)))
+    assert alike(still, still) and alike(changing, changing) and not alike(still, changing)
 
 
 def test_a_template_may_lose_a_phase_and_lasts_as_long():
