@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
 
-from jink.training.ladder.pairing import BASE, compare_suites
-from jink.training.report.scenes import MAIN, Scene
-from jink.training.report.tables import Cell, interval, table
+from jink.training.ladder.pairing import BASE, Overall, compare_suites
+from jink.training.report.scenes import FAMILIES, MAIN, Scene
+from jink.training.report.tables import Cell, digits, interval, table
 
 __all__ = ["overview"]
 
@@ -49,7 +49,7 @@ def overview(rows: pd.DataFrame, scenes: Sequence[Scene]) -> str:
                             for word, n in counts.items()
                         ),
                         Cell(str(0 if one is None else one.scenarios)),
-                        Cell(html.escape(", ".join(one.missing)) if one and one.missing else "none"),
+                        _missing(one),
                     ],
                     "base" if name == BASE else "",
                 )
@@ -58,5 +58,22 @@ def overview(rows: pd.DataFrame, scenes: Sequence[Scene]) -> str:
             "estimator", f"error over that of {BASE} [95 %]", "▼ better", "= level", "▲ worse", "scenarios", "missing",
         ]  # fmt: skip
         caption = f"Suite {suite}: geometric mean over its scenarios; below 1 is better than {BASE}."
-        parts.append(table(caption, headings, body))
+        parts.append(
+            f"<details><summary>{html.escape(suite)}, {len(members)} scenarios: {_best(ratios)}</summary>"
+            f"{table(caption, headings, body)}</details>"
+        )
     return f'<h2 id="overview">Suites</h2>{"".join(parts)}' if parts else ""
+
+
+def _missing(one: Overall | None) -> Cell:
+    """How many scenarios an estimator has no rows of; their names on request."""
+    names = () if one is None else one.missing
+    return Cell(f'<span title="{html.escape(", ".join(names), quote=True)}">{len(names) or "none"}</span>', len(names))
+
+
+def _best(ratios: Mapping[str, Overall]) -> str:
+    """The three smallest ratios of estimators that have rows of every scenario; limits left out."""
+    known = [one for one in ratios.values() if FAMILIES.get(one.estimator) != "limit" and not one.missing]
+    known = [one for one in known if np.isfinite(one.ratio.value)]
+    first = sorted(known, key=lambda one: one.ratio.value)[:3]
+    return ", ".join(f"{html.escape(one.estimator)} {digits(one.ratio.value)}" for one in first) + f" of {BASE}"
