@@ -307,8 +307,8 @@ def look(page):
     )
     wanted = {r["name"]: r["values"]["position_rmse"][0] for r in told["rungs"] if "position_rmse" in r["values"]}
     assert drawn == wanted and len(drawn) > 10
-    page.run("m = document.getElementById('metric'), m.value = 'velocity_rmse', m.dispatchEvent(new Event('change'))")
-    page.wait("document.getElementById('ladder').layout.xaxis.title.text.startsWith('velocity rmse')")
+    page.run("m = document.getElementById('metric'), m.selectedIndex = 1, m.dispatchEvent(new Event('change'))")
+    page.wait("document.getElementById('ladder').layout.xaxis.title.text.startsWith(m.selectedOptions[0].text)")
 
 
 def sort(page):
