@@ -72,11 +72,6 @@ def train_agent(
         ValueError: another training in the folder, or stable-baselines3 is not installed.
         OSError: it cannot be written.
     """
-    key = hashlib.sha256(json.dumps(config.told(), sort_keys=True).encode()).hexdigest()
-    finished = _prepare(out, key, fresh)
-    if finished:
-        policy = load_policy(out) if (out / POLICY_FILE).is_file() else None
-        return AgentReport(policy, _read_log(out), False, True)
     try:
         import torch
 
@@ -86,6 +81,11 @@ def train_agent(
         raise ValueError(
             f"train agent: stable-baselines3 must be installed to learn; {error}. Run pip install 'jink[rl]'."
         ) from error
+    key = hashlib.sha256(json.dumps(config.told(), sort_keys=True).encode()).hexdigest()
+    finished = _prepare(out, key, fresh)
+    if finished:
+        policy = load_policy(out) if (out / POLICY_FILE).is_file() else None
+        return AgentReport(policy, _read_log(out), False, True)
     torch.set_num_threads(1)  # on networks this small a second thread costs three to nine times as much
     env = sb3.make_env(config)
     try:
