@@ -360,3 +360,10 @@ def test_it_is_readable_without_script(path, tmp_path):
         sections = "[...document.querySelectorAll('section[data-scene]')]"
         assert page.run(f"{sections}.every((s) => s.offsetHeight > 50 && s.querySelector('table'))")
         assert "joint-imm" in page.run("document.body.innerText")
+
+
+def test_metrics_whose_runs_were_not_kept_are_shown_all_the_same():
+    kept = one_row(metric="position_rmse", statistic="rms", unit="m", value=2.0, samples=np.full(3, 2.0))
+    bare = one_row(metric="nees", statistic="mean", value=4.5, low=4.0, high=5.0)
+    (scene,), _ = collect(frame(kept, bare))
+    assert scene.rungs[0].values["nees"] == (4.5, 4.0, 5.0)

@@ -144,6 +144,10 @@ def _latest(part: pd.DataFrame) -> pd.DataFrame:
 def _rung(name: str, part: pd.DataFrame, compared: Mapping[str, Any]) -> Rung:
     numbers = part[(part["kind"] == "number") & (part["metric"] != "")]
     values = {metric: _triple(one.value) for metric, one in compared.items()}
+    # Committed rows may keep the runs of the main metric only: the others are then the numbers of their cells.
+    for metric, cells in numbers.groupby("metric", sort=False):
+        if metric in METRICS and len(cells) == 1 and not math.isfinite(values.get(str(metric), (math.nan,))[0]):
+            values[str(metric)] = tuple(float(cells[name].iloc[0]) for name in ("value", "low", "high"))  # type: ignore[assignment]
     timed = numbers[numbers["metric"] == _TIMED]["value"]
     if len(timed):
         values[_TIMED] = (float(timed.mean()), math.nan, math.nan)
