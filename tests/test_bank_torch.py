@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from numba.core import config
 
 from jink.estimators.sensors import position
 from jink.intent.laws import Birth, Law, Phase
@@ -11,6 +12,7 @@ from jink.intent.model import Intent, IntentModel
 
 torch = pytest.importorskip("torch")
 
+from jink.intent.adjoint import aside, recursion  # noqa: E402
 from jink.intent.bank_torch import ModelParameters, filter_batch, log_likelihood, make_batch  # noqa: E402
 
 SIGMA = 20.0
@@ -297,6 +299,18 @@ def test_threads_share_the_gradient():
         filter_batch(parameters, batch, threads=threads).log_likelihood.sum().backward()
         found.append(parameters.turn_mean.grad)
     np.testing.assert_allclose(*found, rtol=1e-10)
+
+
+def test_the_recursion_is_compiled_for_the_types_it_is_compiled_for_beforehand():
+    """Else a first run would compile once more, in this process, and may differ in the last bits."""
+    if config.DISABLE_JIT:
+        pytest.skip("nothing is compiled")
+    batch = make_batch(*tracks(2, 2, 6, False), SIGMA, speed=100.0)
+    log_likelihood(ModelParameters(plane()), batch).sum().backward()
+    with torch.no_grad():
+        filter_batch(ModelParameters(plane()), batch)
+    assert recursion.backward.signatures == [aside.BACKWARD]
+    assert recursion.forward.signatures == [aside.FORWARD]
 
 
 def test_track_without_measurements_counts_nothing():

@@ -16,6 +16,7 @@ from jink.intent.torch_scan import Recursion
 
 compiled.forget_stale_machine_code(Path(__file__).parent, Path(compiled.__file__).parent)
 
+from jink.intent.adjoint.aside import compile_aside  # noqa: E402
 from jink.intent.adjoint.recursion import backward, forward  # noqa: E402  (after old machine code is gone)
 
 __all__ = ["compiled_scan"]
@@ -129,6 +130,7 @@ def compiled_scan(
     threads: int = 1,
 ) -> Recursion:
     """As `torch_scan.scan`, on the processor; moments carry no gradient; tracks in trouble give none and 0."""
+    compile_aside()
     log_likelihood, probs, mean, cov, failed = _Scan.apply(  # type: ignore[no-untyped-call]
         tables, chain, birth_mean, birth_var, initial, noise, start_cov,
         z, dt, which, detected, start_mean, float(temper), float(min_prob), bool(moments), int(threads),
