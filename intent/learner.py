@@ -15,6 +15,7 @@ import numpy as np
 from jink.estimators.bank import Bank
 from jink.estimators.sensor import Sensor
 from jink.estimators.tracks import Tracks
+from jink.intent.devices import check_device
 from jink.intent.diary import Diary
 from jink.intent.lessons import make_lessons, positions_of
 from jink.intent.model import IntentModel
@@ -53,7 +54,7 @@ class IntentLearner:
         ignored as gross outliers.
 
     Raises:
-        ValueError: an option out of range.
+        ValueError: an option out of range, or a device that is not there.
 
     Source: patent CN202211553542, claims 2, 4, 5. Differs: the likelihood of the bank instead of distances of curves.
     """
@@ -82,6 +83,7 @@ class IntentLearner:
             raise ValueError(f"IntentLearner: noise_sd must be metres, 'learn' or None; got {noise_sd!r}. Use 'learn'.")
         if isinstance(noise_sd, (int, float)) and not 0.0 < noise_sd < math.inf:
             raise ValueError(f"IntentLearner: noise_sd must be > 0 m and finite; got {noise_sd}. Use 'learn'.")
+        check_device(device)
         known = {field.name for field in dataclasses.fields(Settings)} - {"intents", "seconds", "seed", "device"}
         if set(work) - known:
             raise ValueError(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from jink.estimators.tracks import Tracks
 from jink.intent.located import locate, noise_sigma
+from jink.intent.outliers import absurd_rows
 
 if TYPE_CHECKING:
     from jink.intent.bank_torch import Batch
@@ -26,12 +27,14 @@ class Lessons(NamedTuple):
     """Pieces of tracks, all of them positions; which of them structure is fitted to and which it is judged by.
 
     noise_sd: standard deviation per axis that is learned from here, (A,), m; None: the covariances are given.
+    left_out: rows that no path leads to, missing in the pieces.
     """
 
     pieces: Tracks
     fit: NDArray[np.int64]
     held: NDArray[np.int64]
     noise_sd: tuple[float, ...] | None
+    left_out: int = 0
 
     def batch(self, chosen: NDArray[np.int64] | None, speed: float, device: str = "cpu") -> Batch:
         """Some pieces, or all, as the twin takes them."""
@@ -70,6 +73,7 @@ def make_lessons(tracks: Tracks, seed: int, noise_sd: float | str | None = None)
     """Cut tracks into pieces and put some aside.
 
     Tracks longer than 150 rows are cut into pieces of about 100; where that gives fewer than eight, into shorter ones.
+    Rows that no path leads to (`absurd_rows`) are missing in them.
     About half of the pieces, at most 48, are fitted while structure is chosen; others, at most 96, judge it.
 
     Args:
@@ -88,6 +92,9 @@ def make_lessons(tracks: Tracks, seed: int, noise_sd: float | str | None = None)
         )
     given = None if noise_sd is None or isinstance(noise_sd, str) else float(noise_sd)
     places = positions_of(tracks, given)
+    absurd = absurd_rows(places)
+    if absurd.any():
+        places = replace(places, measurements=np.where(absurd[..., None], np.nan, places.measurements))
     measured = (np.isfinite(places.measurements[..., 0]) & places.used).sum(axis=1)
     total = int(measured.sum())
     size = _PIECE
@@ -105,8 +112,9 @@ def make_lessons(tracks: Tracks, seed: int, noise_sd: float | str | None = None)
     pieces = _cut(places, cuts)
     order = np.random.default_rng([seed, 5]).permutation(len(cuts))
     half = min(_FIT, (len(cuts) + 1) // 2)
-    sigma = None if not learn else tuple(noise_sigma(tracks).tolist())
-    return Lessons(pieces, np.sort(order[:half]), np.sort(order[half : half + _HELD]), sigma)
+    sigma = None if not learn else tuple(noise_sigma(places if absurd.any() else tracks).tolist())
+    held = np.sort(order[half : half + _HELD])
+    return Lessons(pieces, np.sort(order[:half]), held, sigma, int(absurd.sum()))
 
 
 def _cuts(tracks: Tracks, size: int) -> list[tuple[int, int, int]]:

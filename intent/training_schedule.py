@@ -108,7 +108,7 @@ def learn(lessons: Lessons, settings: Settings, diary: Diary, tell: Callable[[Pr
 def _clean(trainer: Trainer, diary: Diary) -> tuple[int, IntentModel]:
     """Fit one intent; rows it finds absurd are gross outliers: they are left out and it is fitted again."""
     settings, axes = trainer.settings, trainer.lessons.pieces.axes
-    everything, left_out = trainer.batch(None), 0
+    everything, left_out = trainer.batch(None), trainer.lessons.left_out
     model = trainer.with_noise(one_intent(trainer.found, axes))
     for attempt in range(2):
         trainer.set_floor(row_scores(model, everything, settings.threads), everything)

@@ -148,6 +148,18 @@ def test_bears_bad_data(tracks: Tracks, learner: IntentLearner) -> None:
     assert learned.score(fresh) > learner.score(fresh) - 0.05
 
 
+def test_outliers_beyond_all_scales_are_left_out_before_the_fit(tracks: Tracks) -> None:
+    """Noise not given: one row in a hundred off by a million scenes changes no finding."""
+    rng = np.random.default_rng(5)
+    z = tracks.measurements.copy()
+    hit = rng.random(z.shape[:2]) < 0.01
+    z[hit] += 1e9 * rng.standard_normal((int(hit.sum()), 2))
+    learned = IntentLearner(seed=3, **QUICK).fit(Tracks.from_arrays(z, tracks.times))
+    assert learned.left_out_ == hit.sum() >= 5
+    assert learned.resolvable_ and len(learned.model_.intents) == 2
+    assert learned.model_.noise_sd is not None and np.allclose(learned.model_.noise_sd, SIGMA, rtol=0.15)
+
+
 def test_one_intent_is_not_resolved_into_more() -> None:
     """Straight flight only: the evidence for a second intent is below a hundredth of a nat."""
     rng = np.random.default_rng(3)

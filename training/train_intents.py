@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jink.estimators.tracks import Tracks
+from jink.intent.devices import check_device
 from jink.intent.model import IntentModel
 from jink.intent.model_file import save_model
 from jink.intent.progress import Progress
@@ -151,28 +152,6 @@ def _check_motion(tracks: Tracks) -> None:
     )
 
 
-def _check_device(device: str) -> None:
-    """Refuse a device that this torch cannot compute on.
-
-    Raises:
-        ValueError: an unknown name, or no such device here.
-    """
-    import torch
-
-    kind, _, number = device.partition(":")
-    if kind not in ("cpu", "cuda") or (number and not number.isdecimal()):
-        raise ValueError(f"--device: value must be cpu or cuda; got '{device}'. Leave it out for the processor.")
-    if kind == "cuda":
-        count = torch.cuda.device_count() if torch.cuda.is_available() else 0
-        if count == 0:
-            raise ValueError(
-                "--device: cuda must have a GPU and a torch built for it; got neither here. Leave the option out to "
-                "train on the processor, or install torch for CUDA."
-            )
-        if int(number or 0) >= count:
-            raise ValueError(f"--device: number must be below {count}, the GPUs here; got '{device}'. Use cuda.")
-
-
 def _make_learner(request: TrainRequest, tracks: Tracks, checkpoint: Path, log: Callable[[Progress], None]) -> Any:
     try:
         import torch
@@ -182,7 +161,8 @@ def _make_learner(request: TrainRequest, tracks: Tracks, checkpoint: Path, log: 
         ) from error
     from jink.intent.learner import IntentLearner
 
-    _check_device(request.device)
+    with in_own_words("--device", options=("device",)):
+        check_device(request.device)
     # On matrices this small a second thread costs more than it gains.
     torch.set_num_threads(1)
     options: dict[str, Any] = {} if request.seconds is None else {"seconds": request.seconds}
