@@ -249,6 +249,10 @@ def test_suites_are_summed_up(rows):
         (["rows.parquet", "--out", "r.pdf"], "must end in .html"),
         (["notes.parquet"], "must be Parquet rows"),
         (["empty.parquet"], "rows must not be empty"),
+        (["."], "got the folder ."),
+        (["parameters.parquet"], "parameters that are not JSON: '{'"),
+        (["samples.parquet"], "2 samples of 3 runs"),
+        (["text.parquet"], "must hold numbers where they belong"),
         (["rows.parquet", "--out", "no/where/r.html"], "existing folder"),
     ],
 )
@@ -257,6 +261,9 @@ def test_the_command_refuses(arguments, said, tmp_path, monkeypatch, capsys):
     frame(one_row(metric="m", value=1.0)).to_parquet("rows.parquet")
     frame(one_row()).iloc[:0].to_parquet("empty.parquet")
     Path("notes.parquet").write_text("notes", encoding="utf-8")
+    frame(one_row(metric="m", value=1.0, parameters="{")).to_parquet("parameters.parquet")
+    frame(one_row(metric="m", value=1.0, samples=np.full(2, 1.0))).to_parquet("samples.parquet")
+    frame(one_row(metric="m", value=1.0)).astype({"value": str}).assign(value="a").to_parquet("text.parquet")
     assert main(["report", *arguments]) == 2
     assert said in capsys.readouterr().err
     assert not list(tmp_path.glob("*.part"))
@@ -278,6 +285,14 @@ def test_it_works_in_a_browser(size, path, tmp_path):
         assert page.run("document.documentElement.scrollWidth") <= width, "nothing sticks out sideways"
         heads = page.run("[...document.querySelectorAll('section:not([hidden]) tbody th')].map((h) => h.offsetHeight)")
         assert max(heads) < 90, "names of estimators are not broken letter by letter"
+        links = page.run("[...document.querySelectorAll('nav a')].map((a) => [a.offsetHeight, a.getAttribute('href')])")
+        assert len(links) == 6 and min(height for height, _ in links) > 20, "sections can be reached"
+        reached = "(a) => document.querySelector(a.hash).getClientRects().length"
+        targets = page.run(f"[...document.querySelectorAll('nav a')].map({reached})")
+        assert all(targets), "no link leads to a scenario that is not shown"
+        frames = "[...document.querySelectorAll('section:not([hidden]) .scroll')]"
+        tall = page.run(f"{frames}.map((f) => f.scrollHeight - f.clientHeight)")
+        assert not mobile or max(tall) <= 1, "nothing scrolls up and down inside the page"
         page.wait("document.querySelectorAll('.plot svg.main-svg').length > 8")
         assert page.run("document.getElementById('scene').selectedOptions[0].text").startswith("joint")
         look(page)

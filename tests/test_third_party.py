@@ -80,6 +80,13 @@ BROKEN = {
             z = np.nan_to_num(measurements)
             return (z + np.roll(z, -1, axis=1)) / 2
         """,
+    "prior": """
+        def start(self, measurements, times, prior):
+            (place, velocity, time), said = super().start(measurements, times)
+            if prior is not None:
+                place = prior[0][2:] / prior[0][2:]
+            return (place, velocity, time), self.said(place, velocity)
+        """,
     "missing data": """
         def step(self, state, measurement, time):
             if np.isnan(measurement).any():
@@ -166,10 +173,52 @@ def test_what_was_right_still_passes(tmp_path):
 
 def test_the_command_says_what_failed_and_how_to_mend_it(tmp_path, capsys):
     assert main(["check", write(tmp_path, GOOD)]) == 0
-    assert "15 passed, 0 failed, 0 skipped" in capsys.readouterr().out
+    assert "16 passed, 0 failed, 0 skipped" in capsys.readouterr().out
     assert main(["check", broken(tmp_path, BROKEN["causality"])]) == 1
     out = capsys.readouterr().out
     assert re.search(r"^causality: .*later measurements", out, re.M) and "to mend it: Estimate row t" in out
+
+
+def test_one_cause_is_told_once_and_with_its_own_remedy(tmp_path, capsys):
+    spec = write(tmp_path, "class make:\n def start(self, z): pass\n def step(self, state): pass")
+    assert main(["check", spec]) == 1
+    out = " ".join(capsys.readouterr().out.split())
+    assert out.count("to mend it:") == 1 and "Name them as these are: measurements, times" in out
+    assert "Do without the exception" not in out and "np." not in out
+
+
+def test_numbers_are_told_as_numbers(tmp_path):
+    failed = {f.name: f for f in check_estimator(broken(tmp_path, BROKEN["causality"])).of("failed")}
+    assert re.search(r"position\[.*\]: -?[0-9.]+ against -?[0-9.]+", failed["causality"].found)
+
+
+@pytest.mark.parametrize("where", ["def make():\n    raise SystemExit(3)", "def make(measurements):\n    exit(3)"])
+def test_who_exits_ends_neither_check_nor_bench(where, tmp_path, capsys):
+    spec = write(tmp_path, where)
+    assert main(["check", spec]) == 1
+    assert "SystemExit: 3" in capsys.readouterr().out
+    few = ["--suite", "surge", "--scenario", "surge-25-bursts-v0", "--estimator", "raw", "--runs", "2"]
+    assert main(["bench", *few, "--estimator", spec]) == 1
+    out = capsys.readouterr().out
+    assert "SystemExit: 3" in " ".join(out.split()) and "raw" in out
+
+
+def test_who_looks_ahead_gets_no_row(tmp_path, capsys):
+    spec = broken(tmp_path, BROKEN["causality"])
+    few = ["--suite", "surge", "--scenario", "surge-25-bursts-v0", "--runs", "2"]
+    assert main(["bench", *few, "--estimator", "raw", "--estimator", spec]) == 1
+    assert "later measurements change" in " ".join(capsys.readouterr().out.split())
+
+
+def test_only_looking_ahead_is_refused_as_such(tmp_path):
+    from jink.envs.scenarios import make_scenario
+    from jink.training.third_party import load_estimator, looks_ahead
+
+    scenario = make_scenario("surge-25-bursts-v0")
+    batch = "def run(self, measurements, times): return np.nan_to_num(measurements)"
+    noisy = "def run(self, measurements, times): return measurements + np.random.normal(size=measurements.shape)"
+    for how in (batch, noisy, BROKEN["state is a value"]):
+        assert looks_ahead(load_estimator(broken(tmp_path, how), scenario), scenario) == ""
 
 
 # --- loading
@@ -269,7 +318,7 @@ RUNS = {
     "no position": ("def make(measurements): return {'velocity': measurements}", "must hold a position"),
     "status": ("def make(measurements): return {'position': measurements, 'status': [9] * 30}", "status must be"),
     "no pair": ("class make:\n def start(self): return 3\n def step(self, state): return 3", "must return"),
-    "foreign name": ("class make:\n def start(self, z): pass\n def step(self): pass", "z cannot be filled in"),
+    "foreign name": ("class make:\n def start(self, z): pass\n def step(self): pass", "got z, which cannot be"),
 }
 
 

@@ -23,6 +23,9 @@ __all__ = ["EstimatorReport", "check_estimator", "print_estimator_report"]
 Status = Literal["passed", "failed", "skipped"]
 
 
+_EVERYWHERE = "Do without the exception; it comes in all of these checks, so mend it first and check again."
+
+
 class Finding(NamedTuple):
     """One check: what came of it, and how to mend what failed."""
 
@@ -97,9 +100,13 @@ def print_estimator_report(report: EstimatorReport, console: Console) -> None:
     for finding in report.findings:
         table.add_row(finding.name, Text(finding.status, colours[finding.status]), Text(_cut(finding.found)))
     console.print(table)
+    causes: dict[str, list[Finding]] = {}
     for finding in report.of("failed"):
-        console.print(Text(f"{finding.name}: {finding.found}."))
-        console.print(Text(f"  to mend it: {finding.remedy}"))
+        causes.setdefault(finding.found, []).append(finding)
+    for found, same in causes.items():
+        once = same[0].remedy if len({finding.remedy for finding in same}) == 1 else _EVERYWHERE
+        console.print(Text(f"{', '.join(finding.name for finding in same)}: {found}."))
+        console.print(Text(f"  to mend it: {once}"))
     counts = ", ".join(f"{len(report.of(s))} {s}" for s in ("passed", "failed", "skipped"))
     console.print(f"{report.name}: {counts}", markup=False)
 
@@ -129,5 +136,5 @@ def _judge(name: str, check: Callable[[], str]) -> Finding:
             asked = (getattr(check, "func", check).__doc__ or "").partition("\n")[0]
             remedy = f"Do without the exception; what this check asks: {asked}"
         return Finding(name, "failed", found or str(error), remedy)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         return Finding(name, "failed", f"raised {type(error).__name__}: {error}", "Return a status instead of raising.")

@@ -26,6 +26,26 @@ app = typer.Typer(
     rich_markup_mode="rich",
 )
 
+
+def _print_version(asked: bool) -> None:
+    """Name and version, then Python's and Numba's: what a report of a fault needs."""
+    if asked:
+        from importlib.metadata import version
+        from platform import python_version
+
+        print(f"jink {version('jink')}, python {python_version()}, numba {version('numba')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Show versions and leave.", is_eager=True, callback=_print_version)
+    ] = False,
+) -> None:
+    """Track targets that change their mind, and compare those who do it."""
+
+
 _TRACK_HELP = """Estimate the tracks of a CSV or Parquet file.
 
 Columns are recognised by name; noise, acceleration and speed that are not given are estimated from the file.

@@ -96,7 +96,7 @@ def make_from(maker: Maker, sensor: Sensor, scales: Scales) -> Any:
         )
     try:
         made = maker.make(**given)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ValueError(
             f"{maker.label}: call must give an estimator; got {said(error)}. Mend it, then jink check {maker.label}."
         ) from error

@@ -23,6 +23,10 @@ _START = ("measurements", "times", "noise", "sensor_states", "prior")
 _STEP = ("state", "measurement", "time", "noise", "sensor_state")
 
 
+class _WrongParametersError(TypeError):
+    """A signature asks for what nobody has; says what there is."""
+
+
 class WholeTrack(NamedTuple):
     """A function of one whole track: ``track(measurements, times, noise, sensor_states)``, any of them, by name."""
 
@@ -248,7 +252,9 @@ class OutsideEstimator:
         try:
             with np.errstate(all="ignore"):
                 return function(**_accepted(function, given))
-        except Exception as error:
+        except _WrongParametersError as error:
+            raise ValueError(f"{self.name}: {method} must name its parameters as they are; {error}") from error
+        except (Exception, SystemExit) as error:  # who calls exit() must not end the benchmark
             raise ValueError(f"{self.name}: {method} must not raise; got {said(error)}. Mend it.") from error
 
     def _batch(self, inputs: Inputs, priors: tuple[Floats, Floats] | None) -> list[tuple[Reported, int]]:
@@ -378,5 +384,8 @@ def _accepted(function: Callable[..., Any], given: dict[str, Any]) -> dict[str, 
     missing = [p.name for p in parameters if p.default is p.empty and p.kind is not p.VAR_POSITIONAL]
     wrong = [name for name in missing if name not in given]
     if wrong:
-        raise TypeError(f"parameters are {', '.join(given)}; {', '.join(wrong)} cannot be filled in")
+        raise _WrongParametersError(
+            f"got {', '.join(wrong)}, which cannot be filled in. Name them as these are: {', '.join(given)}; "
+            "give others a default, leave out what is not needed."
+        )
     return {name: value for name, value in given.items() if name in names}

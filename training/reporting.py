@@ -33,13 +33,17 @@ def report(files: Sequence[Path], out: Path, title: str = "Jink benchmark") -> i
     check_writable(out, "--out", (".html", ".htm"))
     parts = []
     for file in files:
+        if file.is_dir():
+            raise ValueError(
+                f"report: ROWS must be Parquet files; got the folder {file}. Name its files: {file / '*.parquet'}."
+            )
         if not file.is_file():
             raise ValueError(f"report: file must exist; got {file}. Make it with jink bench --out {file.name}.")
         check_separate(out, "--out", {"the file of rows": file})
         try:
             parts.append(read_rows(file))
         except ValueError as error:
-            said = str(error).removeprefix("--out: ").replace("Choose another --out.", "Choose another file.")
+            said = str(error).removeprefix("--out: ").replace("hoose another --out.", "hoose another file.")
             raise ValueError(f"report: {said}") from error
     rows = pd.concat(parts, ignore_index=True)
     write_report(rows, out, title, " ".join(file.name for file in files))

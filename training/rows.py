@@ -50,6 +50,7 @@ _NEWER = {"data": "", "kind": "number", "statistic": "", "at": None, "samples": 
 PACKAGES = ("estimators", "intent", "envs", "training")
 KINDS = ("number", "curve", "track")
 """A number of a cell; values against time; one series of the one run that is played back."""
+_DAMAGED = "Make it again with jink bench, or choose another --out."
 STATUSES = ("ok", "diverged", "skipped", "error")
 
 
@@ -89,7 +90,34 @@ def read_rows(path: Path) -> pd.DataFrame:
             f"--out: file must have the columns of jink bench; got {path.name} without {', '.join(missing)}. "
             "Choose another --out."
         )
-    return rows[list(COLUMNS)].astype(COLUMNS)
+    try:
+        rows = rows[list(COLUMNS)].astype(COLUMNS)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"--out: {path.name} must hold numbers where they belong; got {error}. {_DAMAGED}") from error
+    if found := _damage(rows):
+        raise ValueError(f"--out: rows of {path.name} must be whole; got {found}. {_DAMAGED}")
+    return rows
+
+
+def _damage(rows: pd.DataFrame) -> str:
+    """What is wrong with rows that have all columns and kinds; "" where nothing is."""
+    for name in ("parameters", "versions", "machine"):
+        for text in rows[name].dropna().unique():
+            try:
+                json.loads(text or "{}")
+            except ValueError:
+                return f"{name} that are not JSON: {text[:40]!r}"
+    lengths = rows["samples"].map(lambda one: -1 if one is None else len(one))
+    number = rows["kind"] == "number"
+    short = rows[number & (lengths >= 0) & (lengths != rows["runs"])]
+    if len(short):
+        row = short.iloc[0]
+        return f"{len(row['samples'])} samples of {row['runs']} runs ({row['estimator']}, {row['metric']})"
+    at = rows["at"].map(lambda one: -1 if one is None else len(one))
+    torn = rows[~number & (at != lengths)]
+    if len(torn):
+        return f"times and samples of different length ({torn.iloc[0]['estimator']}, {torn.iloc[0]['metric']})"
+    return ""
 
 
 def finished_cells(rows: pd.DataFrame) -> set[Cell]:

@@ -12,6 +12,7 @@ from jink.training.contract.independence_checks import (
     check_padding,
     check_singles,
 )
+from jink.training.contract.prior_checks import check_prior
 from jink.training.contract.step_checks import check_state, check_steps
 from jink.training.contract.subject import Subject
 from jink.training.contract.trouble_checks import check_missing, check_outliers, check_times
@@ -29,6 +30,7 @@ CHECKS: dict[str, Callable[[Subject], str]] = {
     "neighbours": check_neighbours,
     "padding": check_padding,
     "causality": check_causal,
+    "prior": check_prior,
     "missing data": check_missing,
     "times": check_times,
     "outliers": check_outliers,

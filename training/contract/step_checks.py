@@ -32,8 +32,9 @@ def check_steps(subject: Subject) -> str:
             for name in ("position", "velocity", "covariance", "mode_probs", "nis", "log_likelihood"):
                 x, y = np.asarray(getattr(one, name)), np.asarray(getattr(whole, name))[b, row]
                 if not np.array_equal(x, y, equal_nan=True):
+                    one_by_one, at_once = x.ravel()[0].item(), y.ravel()[0].item()
                     raise Broken(
-                        f"{name} of row {row}, track {b}: {x.ravel()[0]!r} by step, {y.ravel()[0]!r} by run",
+                        f"{name} of row {row}, track {b}: {one_by_one!r} by step, {at_once!r} by run",
                         "Let run be the loop of step, or leave run out: it then is.",
                     )
     return "run is the loop of step"

@@ -136,7 +136,7 @@ def same(left: Estimates, right: Estimates, rows: Any = ..., tolerance: float = 
         close = np.isclose(x, y, rtol=tolerance, atol=tolerance, equal_nan=True) if tolerance else _equal(x, y)
         if not close.all():
             at = tuple(int(i) for i in np.argwhere(~close)[0])
-            return f"{name}{list(at) if at else ''}: {x[at]!r} against {y[at]!r}"
+            return f"{name}{list(at) if at else ''}: {x[at].item()!r} against {y[at].item()!r}"
     return ""
 
 

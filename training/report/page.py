@@ -60,6 +60,7 @@ def make_page(rows: pd.DataFrame, title: str = "Jink benchmark", source: str = "
         bar(scenes, first),
         '<main id="main">',
         overview(rows, scenes),
+        '<div id="board"></div>',  # of whichever scenario is shown
         "".join(section(scene, index) for index, scene in enumerate(scenes)),
         plots(),
         failed(failures),

@@ -78,10 +78,9 @@ def bar(scenes: Sequence[Scene], first: int) -> str:
 
 def section(scene: Scene, index: int) -> str:
     """Tables of one scenario."""
-    anchor = ' id="board"' if index == 0 else ""
     title = f"<p>{html.escape(scene.title)}.</p>" if scene.title else ""
     suite = f'<span class="quiet small">suite {html.escape(scene.suite)}</span>'
-    top = f"<h2{anchor}>{html.escape(scene.scenario)} {suite}</h2>"
+    top = f"<h2>{html.escape(scene.scenario)} {suite}</h2>"
     if not scene.simulated:
         return f'<section data-scene="{index}">{top}{title}{plain_board(scene)}</section>'
     return (

@@ -137,7 +137,7 @@ def numbers_table(scene: Scene) -> str:
                 Cell(html.escape(number.interval)),
                 Cell(str(number.runs), float(number.runs)),
                 Cell(str(number.seed), float(number.seed)),
-                command(number.command),
+                command(number.command, short=True),
             ],
             "",
         )
@@ -145,7 +145,7 @@ def numbers_table(scene: Scene) -> str:
         for number in rung.numbers
     ]
     headings = ["estimator", "metric", "value [95 %]", "unit", "interval", "runs", "first seed", "command"]
-    return table(f"{len(rows)} numbers, one cell each.", headings, rows, words=2)
+    return table(f"{len(rows)} numbers, one cell each; the command of each can be copied.", headings, rows, words=2)
 
 
 def failures_table(failures: Sequence[Failure]) -> str:
@@ -191,7 +191,7 @@ def command(text: str, short: bool = False) -> Cell:
     first = html.escape(text.partition("\n")[0])
     more = text.count("\n")
     shown = "" if short else f' <code title="{safe}">{first}</code>' + (f" and {more} more" if more else "")
-    button = f'<button type="button" class="copy" data-copy="{safe}" title="{safe}" aria-label="Copy the command">'
+    button = f'<button type="button" class="copy" data-copy="{safe}" aria-label="Copy the command">'
     return Cell(f"{button}Copy</button>{shown}")
 
 

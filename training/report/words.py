@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import pandas as pd
 
@@ -60,17 +60,30 @@ def provenance(rows: pd.DataFrame) -> str:
         ("computed", f"{html.escape(str(rows['started'].min()))} to {html.escape(str(rows['started'].max()))}"),
         ("rows", f"{len(rows)}"),
     ]
-    told = rows.drop_duplicates(["suite", "scenario", "estimator"])[["suite", "scenario", "estimator", "parameters"]]
     cells = "".join(
-        f"<details><summary>{html.escape(f'{suite}: {scenario}, {estimator}')}</summary><pre>"
-        f"{html.escape(json.dumps(json.loads(text), indent=1))}</pre></details>"
-        for suite, scenario, estimator, text in told.itertuples(index=False, name=None)
+        f"<details><summary>{html.escape(name)}</summary><pre>{html.escape(text)}</pre></details>"
+        for name, text in _parameters(rows)
     )
     listing = "".join(f"<dt>{name}</dt><dd>{text}</dd>" for name, text in facts)
     return (
         f'<h2 id="provenance">Provenance</h2><dl class="facts">{listing}</dl>'
         f"<details><summary>Parameters of every cell</summary>{cells}</details>"
     )
+
+
+def _parameters(rows: pd.DataFrame) -> Iterator[tuple[str, str]]:
+    """What each scenario is, once, and then what each of its estimators was told besides."""
+    told = rows.drop_duplicates(["suite", "scenario", "estimator"])
+    for (suite, scenario), mine in told.groupby(["suite", "scenario"], sort=False):
+        seen: set[str] = set()
+        for estimator, text in mine[["estimator", "parameters"]].itertuples(index=False, name=None):
+            for key, value in json.loads(text or "{}").items():
+                line = json.dumps(value, separators=(", ", ": "))
+                if key == "scenario" and line not in seen:
+                    seen.add(line)
+                    yield f"{suite}: {scenario}", line
+            rest = {key: value for key, value in json.loads(text or "{}").items() if key != "scenario"}
+            yield f"{suite}: {scenario}, {estimator}", json.dumps(rest, separators=(", ", ": "))
 
 
 def _readable(text: str) -> str:
