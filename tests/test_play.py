@@ -12,6 +12,7 @@ from gymnasium.error import DependencyNotInstalled
 
 import jink.envs
 from jink.envs.manoeuvring_target import ManoeuvringTargetTask
+from jink.estimators.agent.policy_file import find_policy, save_policy
 from jink.training.cli import main
 from jink.training.play import PlayRequest, make_environment, play
 from jink.training.players import make_player, player_names, scales_of
@@ -181,6 +182,24 @@ def play_through(env, name, seed=4, steps=40):
         if terminated:
             break
     return np.array(errors)
+
+
+@pytest.mark.parametrize(
+    ("policy", "env", "other"),
+    [
+        ("continuous", "AdaptiveFactorContinuous-v0", "AdaptiveFactor-v0"),
+        ("discrete", "AdaptiveFactor-v0", "AdaptiveFactorContinuous-v0"),
+    ],
+)
+def test_an_agent_plays_its_environment(tmp_path, policy, env, other):
+    def total(name):
+        return play(PlayRequest(env, policy=name, seed=1, steps=60, out=tmp_path / "last.png")).score
+
+    folder = tmp_path / "mine"
+    save_policy(find_policy(policy), folder)
+    assert total(policy) == total(str(folder)) > total("random")
+    with pytest.raises(ValueError, match=f"environment must be jink/{env} for this agent"):
+        play(PlayRequest(other, policy=policy, seed=1, steps=2, out=tmp_path / "last.png"))
 
 
 def test_players_estimate():

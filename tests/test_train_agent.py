@@ -256,6 +256,67 @@ def test_bad_options_end_in_one_sentence(tmp_path, capsys, options, said):
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--factors", "none,huber"], "Add --discrete"),
+        (["--discrete", "--warm-start", "oracle"], "copy nothing; got oracle"),
+        (["--view", "plain", "--warm-start", "advice"], "copy nothing; got advice"),
+        (["--algorithm", "recurrent-ppo", "--warm-start", "advice"], "copy nothing; got advice"),
+        (["--discrete", "--algorithm", "dqn", "--horizon", "8"], "horizon must be left out for dqn"),
+    ],
+)
+def test_options_without_effect_are_refused(tmp_path, capsys, options, said):
+    assert main(["train", "agent", "--out", str(tmp_path / "x"), *options]) == 2
+    assert said in capsys.readouterr().err and not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize("options", [{}, {"discrete": True, "algorithm": "dqn", "minibatch": 64}])
+def test_no_more_steps_are_taken_than_asked_for(tmp_path, options):
+    least = 3 * 512 if not options else 2 * 128  # a batch for the critic and for each of two rounds
+    with pytest.raises(ValueError, match=f"Use --steps {least}, or"):
+        AgentConfig(**{**SHORT, "rounds": 2, **options, "steps": least - 1})
+    for steps in (least, least + 300):
+        config = AgentConfig(**{**SHORT, "rounds": 2, **options, "steps": steps})
+        rounds = train_agent(config, tmp_path / str(steps), tensorboard=False).rounds
+        assert steps - config.batch < rounds[-1].steps <= steps
+        assert tuple(row.steps for row in rounds) == config.plan()[1]
+
+
+@pytest.mark.parametrize("damage", ["cut state", "other counter", "cut tensors", "no tensors"])
+def test_a_damaged_checkpoint_is_named_with_its_remedy(tmp_path, capsys, damage):
+    class StoppedError(Exception):
+        pass
+
+    def stop(found):
+        raise StoppedError
+
+    short = {**SHORT, "steps": 1536, "rounds": 2}
+    with pytest.raises(StoppedError):
+        train_agent(AgentConfig(**short), tmp_path, tensorboard=False, progress=stop)
+    state, (tensors,) = tmp_path / CHECKPOINT / "state.json", (tmp_path / CHECKPOINT).glob("*.safetensors")
+    path = state if "tensors" not in damage else tensors
+    if damage == "other counter":
+        path.write_text(path.read_text().replace('"num_timesteps": 1024', '"num_timesteps": 1025'))
+    elif damage == "no tensors":
+        path.unlink()
+    else:
+        path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(ValueError, match="checkpoint must be whole") as caught:
+        train_agent(AgentConfig(**short), tmp_path, tensorboard=False)
+    assert str(path) in str(caught.value) and "Add --fresh" in str(caught.value)
+    assert train_agent(AgentConfig(**short), tmp_path, tensorboard=False, fresh=True).policy is not None
+
+
+def test_help_names_the_defaults(capsys):
+    assert main(["train", "agent", "--help"]) == 0
+    words, config = " ".join(capsys.readouterr().out.replace("│", " ").split()), AgentConfig()
+    for name in ("reward", "view", "covariance", "algorithm", "warm_start"):
+        assert f"{getattr(config, name)} (default)" in words
+    for name in ("steps", "environments", "horizon", "minibatch", "epochs", "learning_rate", "discount", "hidden"):
+        assert f"default {getattr(config, name)}." in words
+
+
 def test_a_folder_of_something_else_is_left_alone(tmp_path, capsys):
     (tmp_path / "thesis.tex").write_text("precious")
     assert main(["train", "agent", "--out", str(tmp_path)]) == 2

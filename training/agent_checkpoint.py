@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -41,8 +42,10 @@ def save_checkpoint(folder: Path, model: Any, progress: dict[str, Any]) -> None:
         for name in _BUFFER:
             tensors[f"buffer/{name}"] = torch.as_tensor(getattr(buffer, name)[:rows])
     name = f"model-{progress['round']}.safetensors"
-    replace_file(folder / name, save_tensors({key: value.contiguous().clone() for key, value in tensors.items()}))
-    text = json.dumps({"tensors": name, "counters": counters, "progress": progress})
+    data = save_tensors({key: value.contiguous().clone() for key, value in tensors.items()})
+    replace_file(folder / name, data)
+    whole = {"tensors": name, "sha256": hashlib.sha256(data).hexdigest(), "counters": counters, "progress": progress}
+    text = json.dumps({**whole, "check": _digest(whole)})
     replace_file(folder / STATE, text.encode())
     for old in folder.glob("model-*.safetensors"):
         if old.name != name:
@@ -53,12 +56,12 @@ def load_checkpoint(folder: Path, model: Any) -> dict[str, Any] | None:
     """Bring a freshly made model to where the last checkpoint was; its progress, or None where there is none.
 
     Raises:
-        ValueError: tensors of another model.
+        ValueError: tensors of another model, a file that is damaged or not there.
     """
     if not (folder / STATE).is_file():
         return None
-    found = json.loads((folder / STATE).read_text(encoding="utf-8"))
-    tensors = load_tensors((folder / Path(found["tensors"]).name).read_bytes())
+    found = _read_state(folder / STATE)
+    tensors = _read_tensors(folder / Path(found["tensors"]).name, found["sha256"])
     parts: dict[str, dict[str, torch.Tensor]] = {"policy": {}, "optimizer": {}, "buffer": {}}
     for key, value in tensors.items():
         kind, _, name = key.partition("/")
@@ -81,3 +84,34 @@ def load_checkpoint(folder: Path, model: Any) -> dict[str, Any] | None:
         for name, value in parts["buffer"].items():
             getattr(buffer, name)[: len(value)] = np.asarray(value)
     return dict(found["progress"])
+
+
+def _digest(state: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(state, sort_keys=True).encode()).hexdigest()
+
+
+def _read_state(path: Path) -> dict[str, Any]:
+    """The state, if it is as it was written."""
+    try:
+        found = json.loads(path.read_bytes())
+        whole = isinstance(found, dict) and found.pop("check") == _digest(found)
+    except (ValueError, KeyError, OSError):
+        whole = False
+    if not whole:
+        raise _damaged(path)
+    return dict(found)
+
+
+def _read_tensors(path: Path, sha256: str) -> dict[str, torch.Tensor]:
+    """The tensors, if they are as they were written."""
+    try:
+        data = path.read_bytes()
+    except OSError:
+        raise _damaged(path, "which is not there") from None
+    if hashlib.sha256(data).hexdigest() != sha256:
+        raise _damaged(path)
+    return dict(load_tensors(data))
+
+
+def _damaged(path: Path, what: str = "which is damaged") -> ValueError:
+    return ValueError(f"train agent: checkpoint must be whole; got {path}, {what}. Add --fresh to begin anew.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -12,7 +13,7 @@ from jink.estimators.agent.looking import VIEWS
 from jink.estimators.agent.policy import COVARIANCES
 from jink.estimators.factors import FACTORS
 
-__all__ = ["ALGORITHMS", "REWARDS", "WARM_STARTS", "AgentConfig"]
+__all__ = ["ALGORITHMS", "REWARDS", "TRAIN_EVERY", "WARM_STARTS", "AgentConfig", "refuse_idle"]
 
 ALGORITHMS = ("ppo", "dqn", "recurrent-ppo")
 REWARDS = ("distance", "regret", "squared", "log", "log-regret")
@@ -28,6 +29,8 @@ _WHOLE = {
     "rounds": (1, 10_000),
     "episodes": (10, 10_000),
 }
+TRAIN_EVERY = 4
+"""Steps of each environment between two updates of dqn."""
 _REAL = {
     "learning_rate": (0.0, 1.0),
     "discount": (0.0, 1.0),
@@ -50,7 +53,7 @@ class AgentConfig:
         suite: whose scenarios are mixed.
         scenario: one scenario instead.
         seed: of everything drawn.
-        steps: environment steps in all.
+        steps: environment steps in all, at most: whole batches are made of them.
         environments: targets side by side.
         horizon: steps of each between two updates.
         minibatch: samples of a gradient step.
@@ -80,7 +83,7 @@ class AgentConfig:
     suite: str | None = "surge"
     scenario: str | None = None
     seed: int = 0
-    steps: int = 1_000_000
+    steps: int = 1_015_808
     environments: int = 1024
     horizon: int = 32
     minibatch: int = 8192
@@ -131,7 +134,7 @@ class AgentConfig:
         object.__setattr__(self, "informed", self.informed and self.algorithm == "ppo")
         if self.covariance == "mixture" and self.view != "levels":
             _refuse("covariance", "be chosen with the view plain", "'mixture'", "Use --covariance chosen.")
-        if self.minibatch > self.environments * self.horizon:
+        if self.algorithm != "dqn" and self.minibatch > self.environments * self.horizon:
             most = self.environments * self.horizon
             _refuse("minibatch", f"be at most environments x horizon = {most}", self.minibatch, "Make it smaller.")
         for name, known_names in (("suite", SUITES), ("scenario", SCENARIOS)):
@@ -143,6 +146,36 @@ class AgentConfig:
         if self.discrete and (len(self.factors) < 2 or not set(self.factors) <= set(FACTORS)):
             _refuse("factors", f"be at least two of {', '.join(FACTORS)}", self.factors, "See jink list.")
 
+        least = self.batch * (self.rounds + self.has_critic_first)
+        if self.steps < least:
+            _refuse(
+                "steps", f"be at least {least}, a batch of {self.batch} for each of {self.rounds} rounds"
+                + (" and one for the critic" if self.has_critic_first else ""), self.steps,
+                f"Use --steps {least}, or fewer --rounds, --environments or --horizon.",
+            )  # fmt: skip
+
+    @property
+    def batch(self) -> int:
+        """Environment steps between two updates."""
+        return self.environments * (TRAIN_EVERY if self.algorithm == "dqn" else self.horizon)
+
+    @property
+    def has_critic_first(self) -> bool:
+        """Whether the critic learns alone at first."""
+        return self.algorithm == "ppo" and self.critic_first > 0.0
+
+    def plan(self) -> tuple[int, tuple[int, ...]]:
+        """Environment steps of the critic alone, and those after which each round ends: whole batches."""
+        total = self.steps // self.batch
+        critic = 0
+        if self.has_critic_first:
+            critic = min(math.ceil(self.critic_first * self.steps / self.batch), total - self.rounds)
+        ends = []
+        for number in range(1, self.rounds + 1):
+            wanted = -(-(self.steps * number // self.rounds) // self.batch)
+            ends.append(self.batch * min(max(wanted, critic + number), total - self.rounds + number))
+        return critic * self.batch, tuple(ends)
+
     @property
     def first_log_std(self) -> float:
         """Logarithm of the standard deviation of the first actions."""
@@ -153,7 +186,8 @@ class AgentConfig:
     @property
     def copies(self) -> str:
         """What the network copies first."""
-        return "none" if self.discrete or self.view != "levels" else self.warm_start
+        follows = self.algorithm == "ppo" and not self.discrete and self.view == "levels"
+        return self.warm_start if follows else "none"
 
     def environment(self) -> dict[str, Any]:
         """Options of the task."""
@@ -168,6 +202,25 @@ class AgentConfig:
     def told(self) -> dict[str, Any]:
         """Every value, as JSON has it."""
         return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
+
+
+def refuse_idle(config: AgentConfig, given: Collection[str]) -> None:
+    """Refuse options that were given and would change nothing.
+
+    Args:
+        config: what came of them.
+        given: their names.
+
+    Raises:
+        ValueError: the first of them.
+    """
+    if "factors" in given and not config.discrete:
+        _refuse("factors", "be left out for an inflation", ",".join(config.factors), "Add --discrete.")
+    if "warm_start" in given and config.copies != config.warm_start:
+        rule = "be none for factors, the view plain and recurrent-ppo, which copy nothing"
+        _refuse("warm_start", rule, config.warm_start, "Leave it out.")
+    if "horizon" in given and config.algorithm == "dqn":
+        _refuse("horizon", f"be left out for dqn, which learns every {TRAIN_EVERY} steps", config.horizon, "Drop it.")
 
 
 def _refuse(name: str, rule: str, value: Any, remedy: str) -> None:

@@ -358,7 +358,8 @@ def play_command(
     env: Annotated[str, typer.Argument(help="Id, with or without jink/.", metavar="ENV")],
     scenario: Annotated[str | None, typer.Option(help="Name from 'jink list'.")] = None,
     policy: Annotated[
-        str | None, typer.Option(help="An estimator, FILE.py:NAME, a factor, none or random; default one that fits.")
+        str | None,
+        typer.Option(help="An estimator, FILE.py:NAME, a factor, none, random, or an agent: a folder or a name."),
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the episode; default a new one.")] = None,
     out: Annotated[Path | None, typer.Option(help="To this .mp4, .gif or .png.")] = None,

@@ -36,30 +36,54 @@ def train_agent_command(
     ] = False,
     suite: Annotated[str | None, typer.Option(help="Suite of scenarios; default surge.", rich_help_panel=_TASK)] = None,
     scenario: Annotated[str | None, typer.Option(help="One scenario instead.", rich_help_panel=_TASK)] = None,
-    reward: Annotated[str | None, typer.Option(help="distance, regret, squared or log.", rich_help_panel=_TASK)] = None,
-    view: Annotated[str | None, typer.Option(help="What it sees: levels or plain.", rich_help_panel=_TASK)] = None,
-    covariance: Annotated[str | None, typer.Option(help="mixture or chosen.", rich_help_panel=_TASK)] = None,
-    factors: Annotated[
-        str | None, typer.Option(help="Names of 'jink list', comma between.", rich_help_panel=_TASK)
+    reward: Annotated[
+        str | None, typer.Option(help="log-regret (default), regret, distance, squared or log.", rich_help_panel=_TASK)
     ] = None,
-    algorithm: Annotated[str | None, typer.Option(help="ppo, dqn or recurrent-ppo.", rich_help_panel=_LEARNING)] = None,
-    steps: Annotated[int | None, typer.Option(help="Environment steps.", rich_help_panel=_LEARNING)] = None,
-    environments: Annotated[int | None, typer.Option(help="Targets side by side.", rich_help_panel=_LEARNING)] = None,
-    horizon: Annotated[int | None, typer.Option(help="Steps between updates.", rich_help_panel=_LEARNING)] = None,
-    minibatch: Annotated[int | None, typer.Option(help="Samples a gradient.", rich_help_panel=_LEARNING)] = None,
-    epochs: Annotated[int | None, typer.Option(help="Passes over a batch.", rich_help_panel=_LEARNING)] = None,
-    learning_rate: Annotated[float | None, typer.Option(help="At the start.", rich_help_panel=_LEARNING)] = None,
-    discount: Annotated[float | None, typer.Option(help="Of later rewards.", rich_help_panel=_LEARNING)] = None,
-    hidden: Annotated[int | None, typer.Option(help="Units of a layer.", rich_help_panel=_LEARNING)] = None,
-    rounds: Annotated[int | None, typer.Option(help="Evaluations and checkpoints.", rich_help_panel=_LEARNING)] = None,
-    warm_start: Annotated[str | None, typer.Option(help="advice, oracle or none.", rich_help_panel=_LEARNING)] = None,
+    view: Annotated[
+        str | None, typer.Option(help="What it sees: levels (default) or plain.", rich_help_panel=_TASK)
+    ] = None,
+    covariance: Annotated[str | None, typer.Option(help="mixture (default) or chosen.", rich_help_panel=_TASK)] = None,
+    factors: Annotated[
+        str | None, typer.Option(help="Of --discrete: names of 'jink list', comma between.", rich_help_panel=_TASK)
+    ] = None,
+    algorithm: Annotated[
+        str | None, typer.Option(help="ppo (default), dqn or recurrent-ppo.", rich_help_panel=_LEARNING)
+    ] = None,
+    steps: Annotated[
+        int | None, typer.Option(help="Environment steps, never more; default 1015808.", rich_help_panel=_LEARNING)
+    ] = None,
+    environments: Annotated[
+        int | None, typer.Option(help="Targets side by side; default 1024.", rich_help_panel=_LEARNING)
+    ] = None,
+    horizon: Annotated[
+        int | None, typer.Option(help="Steps between updates; default 32.", rich_help_panel=_LEARNING)
+    ] = None,
+    minibatch: Annotated[
+        int | None, typer.Option(help="Samples a gradient; default 8192.", rich_help_panel=_LEARNING)
+    ] = None,
+    epochs: Annotated[
+        int | None, typer.Option(help="Passes over a batch; default 4.", rich_help_panel=_LEARNING)
+    ] = None,
+    learning_rate: Annotated[
+        float | None, typer.Option(help="At the start; default 0.0003.", rich_help_panel=_LEARNING)
+    ] = None,
+    discount: Annotated[
+        float | None, typer.Option(help="Of later rewards; default 0.98.", rich_help_panel=_LEARNING)
+    ] = None,
+    hidden: Annotated[int | None, typer.Option(help="Units of a layer; default 64.", rich_help_panel=_LEARNING)] = None,
+    rounds: Annotated[
+        int | None, typer.Option(help="Evaluations and checkpoints; default 5.", rich_help_panel=_LEARNING)
+    ] = None,
+    warm_start: Annotated[
+        str | None, typer.Option(help="advice (default), oracle or none.", rich_help_panel=_LEARNING)
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of everything drawn.", rich_help_panel=_LEARNING)] = 0,
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Begin anew whatever lies in --out.", rich_help_panel=_OUTPUT)
     ] = False,
 ) -> None:
     """Learn how far to distrust each measurement."""
-    from jink.training.agent_config import AgentConfig
+    from jink.training.agent_config import AgentConfig, refuse_idle
     from jink.training.train_agent import AgentReport, train_agent
 
     given = {
@@ -75,6 +99,7 @@ def train_agent_command(
     suite = "surge" if suite is None and scenario is None else suite
     fixed: dict[str, Any] = {"discrete": discrete, "suite": suite, "scenario": scenario, "seed": seed}
     config = AgentConfig(**fixed, **options)
+    refuse_idle(config, options.keys())
     with say_when_compiling(), _Bar(config.rounds) as bar:
         report: AgentReport = train_agent(config, out, fresh=fresh, progress=bar.told)
     _print(report, out)

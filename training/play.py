@@ -17,8 +17,9 @@ from rich.console import Console
 from jink.envs.registration import ENVIRONMENTS
 from jink.envs.rendering import Renderer
 from jink.envs.task import Picture
+from jink.estimators.agent.policy import Policy
 from jink.training.console import check_writable, progress, say_when_compiling
-from jink.training.players import default_player, make_player
+from jink.training.players import default_player, find_agent, make_agent_player, make_player
 from jink.training.recording import SUFFIXES, best_suffix, record
 
 __all__ = ["PlayRequest", "Played", "has_display", "make_environment", "play", "print_played"]
@@ -35,7 +36,7 @@ class PlayRequest:
     Args:
         env: id of an environment, with or without "jink/".
         scenario: name of a scenario; None: the environment's own.
-        policy: who plays (see `jink.training.players`); None: the usual one.
+        policy: who plays (see `jink.training.players`; a folder of jink train agent too); None: the usual one.
         seed: of the episode; None: a new one every time.
         out: .mp4, .gif (all frames) or .png (the last); None: a window where there is a display, else a file.
         steps: decisions at most; None: until the episode ends.
@@ -67,9 +68,10 @@ class _Episode:
     """One episode, picture by picture."""
 
     def __init__(self, request: PlayRequest, seed: int, advance: Any) -> None:
-        self.env = make_environment(request.env, request.scenario)
+        agent = find_agent(request.policy)
+        self.env = make_environment(request.env, request.scenario, agent)
         self.policy = request.policy or default_player(self.env)
-        self.player = make_player(self.policy, self.env, seed)
+        self.player = make_agent_player(agent, self.env) if agent else make_player(self.policy, self.env, seed)
         self.rollout: Any = self.env.unwrapped.rollout  # type: ignore[attr-defined]
         most = self.rollout.source.steps - 1
         self.most = most if request.steps is None else min(request.steps, most)
@@ -180,14 +182,19 @@ def has_display() -> bool:
     return sys.platform in ("win32", "darwin") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def make_environment(name: str, scenario: str | None = None) -> gymnasium.Env[Any, Any]:
-    """An environment of Jink by its id, with or without "jink/".
+def make_environment(name: str, scenario: str | None = None, agent: Policy | None = None) -> gymnasium.Env[Any, Any]:
+    """An environment of Jink by its id, with or without "jink/", with the options that an agent was trained with.
 
     Raises:
         ValueError: no such environment or scenario.
     """
     options: dict[str, Any] = {} if scenario is None else {"scenario": scenario}
-    return gymnasium.make(_full_id(name), disable_env_checker=True, **options)
+    full = _full_id(name)
+    if agent is not None and full.startswith("jink/AdaptiveFactor"):
+        options |= agent.environment()
+        if full.startswith("jink/AdaptiveFactorContinuous"):
+            options.pop("factors", None)
+    return gymnasium.make(full, disable_env_checker=True, **options)
 
 
 def _full_id(name: str) -> str:
@@ -201,4 +208,4 @@ def _full_id(name: str) -> str:
 
 def _default_name(episode: _Episode) -> Path:
     """A name in the current folder that says what it holds."""
-    return Path(f"{episode.rollout.source.id}-{episode.policy}-{episode.seed}{best_suffix()}")
+    return Path(f"{episode.rollout.source.id}-{Path(episode.policy).name}-{episode.seed}{best_suffix()}")

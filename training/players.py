@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -11,17 +12,20 @@ import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
+from jink.envs.adaptive_factor import AdaptiveFactorTask
 from jink.envs.episodes import Source
 from jink.envs.manoeuvring_target import ManoeuvringTargetTask
 from jink.envs.policies import EstimatorPolicy
 from jink.envs.streams import make_streams
 from jink.envs.task import Task
+from jink.estimators.agent.policy import Policy
+from jink.estimators.agent.policy_file import POLICY_FILE, find_policy, pretrained_policies
 from jink.estimators.api import BankEstimator
 from jink.estimators.recipes import RECIPES, make_estimator
 from jink.training.loading import is_spec, make_named
 from jink.training.outside_policy import OutsidePolicy
 
-__all__ = ["Player", "default_player", "make_player", "player_names", "scales_of"]
+__all__ = ["Player", "default_player", "find_agent", "make_agent_player", "make_player", "player_names", "scales_of"]
 
 Player = Callable[[NDArray[Any]], Any]
 """From an observation to an action; remembers its own past, so one episode each."""
@@ -89,6 +93,27 @@ def make_player(name: str, env: gymnasium.Env[Any, Any], seed: int) -> Player:
         return lambda observation: least
     source = env.unwrapped.rollout.source  # type: ignore[attr-defined]
     return EstimatorPolicy(make_estimator(name, source.sensor, **scales_of(source)._asdict()), env)
+
+
+def find_agent(name: str | None) -> Policy | None:
+    """The agent of that folder or name, None where it is none; errors as `find_policy`."""
+    if name is None:
+        return None
+    names_one = name in pretrained_policies() or Path(name).is_dir() or Path(name).name == POLICY_FILE
+    return find_policy(name, "play") if names_one else None
+
+
+def make_agent_player(agent: Policy, env: gymnasium.Env[Any, Any]) -> Player:
+    """An agent as a player of an environment that was made with its options.
+
+    Raises:
+        ValueError: an environment whose actions it does not take, or another number of observations.
+    """
+    choices = bool(_choices(env))
+    if not isinstance(_task(env), AdaptiveFactorTask) or choices != bool(agent.factors):
+        fits = f"jink/AdaptiveFactor{'' if agent.factors else 'Continuous'}-v0"
+        raise ValueError(f"play: environment must be {fits} for this agent; got {_id(env)}. Play {fits}.")
+    return lambda observation: agent.act(observation[None])[0]
 
 
 def _make_outside(spec: str, env: gymnasium.Env[Any, Any]) -> Player:

@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from jink.envs.vector import TargetVectorEnv
 from jink.estimators.agent.policy import Policy
-from jink.training.agent_config import AgentConfig
+from jink.training.agent_config import TRAIN_EVERY, AgentConfig
 
 __all__ = [
     "TOLD",
@@ -191,8 +191,8 @@ def make_model(config: AgentConfig, env: VecEnv) -> Any:
     }
     if config.algorithm == "dqn":
         return DQN(
-            "MlpPolicy", env, policy_kwargs=kwargs, batch_size=config.minibatch, train_freq=4,
-            gradient_steps=max(1, 4 * config.epochs * config.environments // config.minibatch),
+            "MlpPolicy", env, policy_kwargs=kwargs, batch_size=config.minibatch, train_freq=TRAIN_EVERY,
+            gradient_steps=max(1, TRAIN_EVERY * config.epochs * config.environments // config.minibatch),
             buffer_size=300_000, learning_starts=0, target_update_interval=8, exploration_fraction=0.3,
             exploration_final_eps=0.02, max_grad_norm=10.0, **common,
         )  # fmt: skip

@@ -102,15 +102,15 @@ def train_agent(
     judged = simulate_seeds(source, VALIDATION_SEED, config.episodes)
     board = _board(out / "tensorboard") if tensorboard else None
     best = state["best"]
+    critic_steps, ends = config.plan()
     while state["round"] < config.rounds:
         number, began = state["round"], time.monotonic()
         _seed_round(config, model, env, number)
-        done = config.steps * (number + 1) // config.rounds
         watch = _Watch.make()
-        if number == 0 and config.algorithm == "ppo" and config.critic_first > 0.0:
+        if number == 0 and critic_steps:
             with sb3.critic_only(model):
-                model.learn(max(1, int(config.critic_first * config.steps)), reset_num_timesteps=False)
-        model.learn(max(1, done - model.num_timesteps), callback=watch, reset_num_timesteps=False)
+                model.learn(critic_steps, reset_num_timesteps=False)
+        model.learn(ends[number] - model.num_timesteps, callback=watch, reset_num_timesteps=False)
         found = _judge(config, model, source, judged)
         row = Round(number + 1, int(model.num_timesteps), *found, watch.mean, time.monotonic() - began)
         rounds.append(row)
@@ -183,7 +183,12 @@ def _read(path: Path) -> dict[str, Any]:
 def _read_log(out: Path) -> tuple[Round, ...]:
     if not (out / LOG).is_file():
         return ()
-    return tuple(Round(**json.loads(line)) for line in (out / LOG).read_text(encoding="utf-8").splitlines())
+    try:
+        return tuple(Round(**json.loads(line)) for line in (out / LOG).read_text(encoding="utf-8").splitlines())
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"train agent: log must hold a round a line; got {out / LOG}, which is damaged. Add --fresh to begin anew."
+        ) from None
 
 
 def _seed_round(config: AgentConfig, model: Any, env: Any, number: int) -> None:
