@@ -153,10 +153,39 @@ def test_intents_are_judged_where_they_are_known():
     late = np.eye(len(names))[np.concatenate([true[:, :1].repeat(3, axis=1), true[:, :-3]], axis=1)]
     delays = score_runs(episodes, found, Readings(intents=late))["intent_delay"]
     assert np.all((delays > 0.2) & (delays < 0.31))
-    # A column that says nothing: its samples and switches do not count.
+    # What it has no word for, it does not recognise: an easier subset is no merit.
     deaf = sure.copy()
     deaf[..., names.index("jink")] = np.nan
-    np.testing.assert_array_equal(score_runs(episodes, found, Readings(intents=deaf))["intent_accuracy"], 1.0)
+    scores = score_runs(episodes, found, Readings(intents=deaf))
+    np.testing.assert_allclose(scores["intent_accuracy"], (true != names.index("jink")).mean(axis=1))
+    some = (np.diff(true, axis=1) != 0).any(axis=1) & (true[:, 1:] == names.index("jink")).any(axis=1)
+    assert some.any() and np.all(scores["intent_delay"][some] > 0.0)
+    nothing = score_runs(episodes, found, Readings(intents=np.full_like(sure, np.nan)))
+    assert np.isnan(nothing["intent_accuracy"]).all() and np.isnan(nothing["intent_delay"]).all()
+
+
+def test_ties_between_intents_are_no_recognition():
+    episodes, found = made_up()
+    names = make_scenario("switch-v0").intents
+    true = episodes.truth.intent
+    uniform = np.full((*true.shape, len(names)), 1.0 / len(names))
+    scores = score_runs(episodes, found, Readings(intents=uniform))
+    np.testing.assert_array_equal(scores["intent_accuracy"], 0.0)
+    never = scores["intent_delay"]
+    late = score_runs(episodes, found, Readings(intents=np.eye(len(names))[(true + 1) % len(names)]))
+    np.testing.assert_array_equal(never, late["intent_delay"])
+    assert np.all(never > 0.5)
+    # One word for two intents: naming it is right for both, and a tie with a third is still wrong.
+    one, other, third = range(3)
+    turns = np.isin(true, (one, other))
+    said = np.eye(len(names))[true]
+    said[turns] = 0.0
+    said[turns, one] = said[turns, other] = 1.0
+    alike = tuple(one if k == other else k for k in range(len(names)))
+    np.testing.assert_array_equal(score_runs(episodes, found, Readings(None, said, alike))["intent_accuracy"], 1.0)
+    said[turns, third] = 1.0
+    accuracy = score_runs(episodes, found, Readings(None, said, alike))["intent_accuracy"]
+    np.testing.assert_allclose(accuracy, 1.0 - turns.mean(axis=1))
 
 
 def test_surges_are_judged_sample_by_sample():
@@ -284,6 +313,38 @@ def test_later_blocks_replace_earlier_ones_and_missing_runs_do_not_count():
     assert compare(rows)[0].value.value == pytest.approx(np.sqrt((9 + 25) / 2))
 
 
+def test_only_runs_that_both_have_are_paired():
+    # Half a metre worse in every run that it has; the base was much worse in those that it has not.
+    base = np.linspace(1.0, 2.0, 60) + np.where(np.arange(60) < 30, 0.0, 8.0)
+    mine = np.where(np.arange(60) < 30, base + 0.5, np.nan)
+    rows = pd.concat([number_rows(base, estimator="imm"), number_rows(mine, estimator="mine")])
+    for some in (rows, pd.concat([number_rows(mine, estimator="imm"), number_rows(base, estimator="mine")])):
+        each = {one.estimator: one for one in compare(some)}["mine"]
+        sign = 1.0 if some is rows else -1.0
+        assert each.runs == 60 and each.pairs == 30
+        assert 0.3 < sign * each.difference.value < 0.6 and sign * each.difference.low > 0 < sign * each.difference.high
+        assert (each.ratio.low > 1.0) if some is rows else (each.ratio.high < 1.0)
+    each = {one.estimator: one for one in compare_suites(rows)}["mine"]
+    assert 1.2 < each.ratio.value < 1.5 and each.ratio.low > 1.0
+    apart = pd.concat([number_rows([1.0] * 6 + [np.nan] * 6, estimator="imm"),
+                       number_rows([np.nan] * 6 + [1.0] * 6, estimator="mine")])  # fmt: skip
+    each = {one.estimator: one for one in compare(apart)}["mine"]
+    assert each.difference is None and each.ratio is None and each.pairs == 0
+
+
+def test_a_number_has_one_interval(pages):
+    """In its row, and in every table made from rows: also in those that are committed."""
+    request = BenchRequest("surge", scenarios=("surge-v0",), estimators=("kf-cv", "bound"), runs=8, seed=100_010)
+    for rows in (rows_of(request), pages.committed()):
+        shown = {(one.suite, one.scenario, one.estimator): one.value for one in compare(rows)}
+        mine = rows[rows["metric"] == "position_rmse"]
+        assert len(shown) == len(mine) >= 2
+        for row in mine.itertuples():
+            value, _, low, high, words = shown[row.suite, row.scenario, row.estimator]
+            assert (value, low, high) == pytest.approx((row.value, row.low, row.high), rel=1e-9, nan_ok=True)
+            assert words == row.interval
+
+
 def test_an_infinite_run_spoils_the_mean_but_not_the_middle():
     rows = number_rows([*np.linspace(1, 2, 11), np.inf], estimator="imm")
     found = compare(rows)[0]
@@ -371,6 +432,77 @@ def test_a_third_party_takes_part(tmp_path, capsys):
     assert 0.3 < value < 100.0
 
 
+OUTSIDE = """
+import sys
+import numpy as np
+
+class Last:
+    def __init__(self, sensor):
+        pass
+
+    def run(self, measurements, times):
+        return np.where(np.isfinite(measurements), measurements, 0.0)
+
+class Smooths(Last):
+    def run(self, measurements, times):
+        z = super().run(measurements, times)
+        return z + 0.5 * (np.roll(z, -1, axis=0) - z)
+
+class Guesses(Last):
+    def run(self, measurements, times):
+        return super().run(measurements, times) + np.random.default_rng().normal(size=measurements.shape)
+
+class Leaves(Last):
+    def run(self, measurements, times):
+        sys.exit(3)
+
+class Stops(Last):
+    def run(self, measurements, times):
+        raise KeyboardInterrupt
+"""
+
+
+def outside(folder, name):
+    path = folder / "others.py"
+    path.write_text(OUTSIDE)
+    return f"{path}:{name}"
+
+
+def test_who_ends_the_program_gets_an_error_row(tmp_path, capsys):
+    out = tmp_path / "rows.parquet"
+    given = words(estimators=(outside(tmp_path, "Leaves"), "kf-cv", outside(tmp_path, "Last")))
+    assert run("bench", *given, "--out", out) == 1
+    rows = read_rows(out)
+    left = rows[rows["estimator"] == "others.py:Leaves"]
+    assert list(left["status"]) == ["error"] and "SystemExit" in left["reason"].iloc[0]
+    assert set(rows.loc[rows["status"] == "ok", "estimator"]) == {"kf-cv", "others.py:Last"}
+    assert "SystemExit" in capsys.readouterr().out
+
+
+def test_ctrl_c_stops_whoever_is_computing(tmp_path, capsys):
+    given = words(estimators=("kf-cv", outside(tmp_path, "Stops"), "huber"))
+    assert run("bench", *given, "--out", tmp_path / "rows.parquet") == 130
+    assert set(read_rows(tmp_path / "rows.parquet")["estimator"]) == {"kf-cv"}
+
+
+@pytest.mark.parametrize(("name", "reason"), [("Smooths", "it looks ahead"), ("Guesses", "a second run")])
+def test_who_looks_ahead_has_no_place_among_filters(tmp_path, name, reason):
+    rows = rows_of(
+        BenchRequest("surge", scenarios=("surge-v0",), estimators=("kf-cv", outside(tmp_path, name)), runs=2)
+    )
+    mine = rows[rows["estimator"] == f"others.py:{name}"]
+    assert list(mine["status"]) == ["error"] and reason in mine["reason"].iloc[0] and mine["value"].isna().all()
+
+
+def test_seeds_that_were_learned_from_are_named(capsys):
+    for more in ({}, {"seed": EVALUATION_SEED}, {"seed": 999_997}):
+        assert run("bench", *words(estimators=("kf-cv",), **more)) == 0
+        assert capsys.readouterr().err.count("seeds") == 0
+    for seed in (TRAINING_SEED, EVALUATION_SEED - 1, 999_998, 10_000_000):
+        assert run("bench", *words(estimators=("kf-cv",), seed=seed)) == 0
+        assert f"seeds {seed} to {seed + 2}" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
@@ -441,6 +573,35 @@ def test_committed_rows_are_whole(suite, pages):
     assert rows["command"].str.startswith(f"jink bench --suite {suite} --scenario ").all()
     assert (rows["seed"] >= EVALUATION_SEED).all()
     assert not re.search(r"(?<![\w.])/\w+/|\\\\Users", rows.drop(columns=["at", "samples"]).to_csv())
+
+
+def test_committed_rows_were_made_with_the_committed_settings(pages):
+    """As many runs as both pages say, and every estimator as it is tuned."""
+    rows = pages.committed()
+    made = rows[rows["kind"] == "number"].drop_duplicates(["suite", "scenario", "estimator"])
+    counted = 0
+    for row in made[(made["status"] != "skipped") & ~made["estimator"].isin(["truth", "raw", "bound"])].itertuples():
+        told = json.loads(row.parameters)["estimator"]["settings"]
+        assert told == settings_of(row.suite, row.estimator)._asdict(), f"{row.scenario}, {row.estimator}: make it anew"
+        counted += told != Settings()._asdict()
+    assert counted > 300
+    runs = set(made.loc[made["estimator"] != "truth", "runs"])
+    assert len(runs) == 1
+    for page, section in (("README.md", "results:start"), ("docs/results.md", "## The benchmark")):
+        text = (ROOT / page).read_text(encoding="utf-8").partition(section)[2][:3000]
+        assert re.search(r"jink bench --suite \w+ --runs (\d+)", text)[1] == str(*runs), page
+
+
+def test_the_table_says_who_diverged_and_when_there_are_no_intervals():
+    lost = number_rows([9.0, 8.0, 7.0, 9.0], estimator="imm").assign(status="diverged", reason="51 %")
+    rows = pd.concat([lost, number_rows([1.0, 2.0, 3.0, 2.0], estimator="kf-cv")])
+    out = io.StringIO()
+    print_ladder(Console(file=out, width=110), rows)
+    assert "imm †" in out.getvalue() and "kf-cv †" not in out.getvalue() and "† diverged" in out.getvalue()
+    assert "fewer than 5 runs" in out.getvalue()
+    out = io.StringIO()
+    print_ladder(Console(file=out, width=110), pd.concat([number_rows([1.0, 2.0] * 5, estimator="imm")]))
+    assert "fewer than" not in out.getvalue() and "†" not in out.getvalue()
 
 
 def test_the_grid_breaks_into_tables_that_fit():

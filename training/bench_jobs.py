@@ -37,14 +37,16 @@ class Job(NamedTuple):
 
 
 def rows_of_job(job: Job) -> pd.DataFrame:
-    """Rows of a cell; what goes wrong in it becomes a row too, so that the others still run."""
+    """Rows of a cell; what goes wrong in it becomes a row too, so that the others still run. Ctrl-C still stops."""
     started = now()
     try:
         return job.compute(started)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         text = " ".join(str(error).split())
         expected = isinstance(error, ValueError | ArithmeticError | OSError)
         reason = text if expected and text else f"{type(error).__name__}: {text}"
+        if isinstance(error, SystemExit):
+            reason = f"it ended the program (SystemExit {text}); let it raise an error instead"
         return make_rows(job.cell, {}, status="error", reason=reason, started=started)
 
 

@@ -17,6 +17,7 @@ from jink.estimators.api import Estimates
 from jink.estimators.status import DIVERGED
 from jink.training.intervals import Score, measure, resample_runs
 from jink.training.ladder.bound import bound_values
+from jink.training.ladder.causality import foresight
 from jink.training.ladder.curves import Curves, add_curves, start_curves, take_curves
 from jink.training.ladder.rungs import Follower, NoSuchRung, make_follower
 from jink.training.ladder.scores import HORIZON_S, METRICS, Readings, score_runs
@@ -91,7 +92,10 @@ def run_ladder_cell(job: LadderCell, cell: Cell) -> pd.DataFrame:
     except NoSuchRung as skipped:
         return rows((), "skipped", str(skipped))
     told["estimator"] = follower.parameters
-    follower.estimate(simulate_runs(scenario, 1, job.seed))  # compiles
+    first = simulate_runs(scenario, 1, job.seed)
+    seen = follower.estimate(first)  # compiles
+    if job.spec and (text := foresight(follower, first, seen)):
+        return rows((), "error", text)
     step = float(getattr(scenario.sampling, "dt", 1.0))
     curves = start_curves(step, scenario.steps)
     parts: list[dict[str, Floats]] = []

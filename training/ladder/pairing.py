@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from jink.training.intervals import Measured, Score, Statistic, measure, resample_runs
+from jink.training.intervals import Measured, Resampling, Score, Statistic, measure, resample_runs
 from jink.training.ladder.scores import METRICS
 from jink.training.weighted import interquartile_mean, mean, root_mean
 
@@ -33,8 +33,9 @@ class Comparison(NamedTuple):
 
     value: root mean square or mean over runs, as `METRICS` says.
     iqm: mean of the middle half of the runs.
-    difference, ratio: of `value` to that of the base over the runs that both have; None without such a base.
+    difference, ratio: of `value` to that of the base over the runs of which both have a value; None without any.
     runs: how many were pooled.
+    pairs: over how many of them the difference is; 0 without one.
     """
 
     suite: str
@@ -45,6 +46,7 @@ class Comparison(NamedTuple):
     difference: Measured | None
     ratio: Measured | None
     runs: int
+    pairs: int = 0
 
 
 def in_order(found: Iterable[Any], ladder: Sequence[str]) -> list[Any]:
@@ -73,14 +75,16 @@ def pool_runs(rows: pd.DataFrame, metric: str) -> dict[Key, Runs]:
     return found
 
 
-def compare(rows: pd.DataFrame, metric: str = "position_rmse", base: str = BASE, seed: int = 0) -> list[Comparison]:
+def compare(rows: pd.DataFrame, metric: str = "position_rmse", base: str = BASE) -> list[Comparison]:
     """Every estimator of every scenario against the base, from rows alone.
+
+    A run without a value (NaN) on either side is left out on both; a lost one (infinite) counts. Resamples have the seed
+    of the first run that they draw from, as those of the rows: one number has one interval wherever it is shown.
 
     Args:
         rows: of `jink bench`; any suites.
         metric: one of `METRICS`.
         base: estimator that the differences and ratios are to.
-        seed: of the resamples.
 
     Returns:
         in the order of the rows; intervals are 95 % percentile bootstraps over runs, paired by seed.
@@ -93,16 +97,16 @@ def compare(rows: pd.DataFrame, metric: str = "position_rmse", base: str = BASE,
             "value": Score(_statistic(metric, runs.values), METRICS[metric].unit),
             "iqm": Score(interquartile_mean(runs.values), METRICS[metric].unit),
         }
-        numbers = measure(scores, resample_runs(len(runs.seeds), seed))
+        numbers = measure(scores, _resamples(runs.seeds))
         paired: dict[str, Measured] = {}
-        both = np.zeros(0, dtype=np.int64) if other is None else np.intersect1d(runs.seeds, other.seeds)
+        both = np.zeros(0, dtype=np.int64) if other is None else _shared(runs, other)
         if other is not None and len(both) and estimator != base:
             mine, theirs = _at(metric, runs, both), _at(metric, other, both)
             scores = {
                 "difference": Score(_minus(mine, theirs), METRICS[metric].unit),
                 "ratio": Score(_over(mine, theirs), ""),
             }
-            paired = measure(scores, resample_runs(len(both), seed))
+            paired = measure(scores, _resamples(both))
         found.append(
             Comparison(
                 suite,
@@ -113,9 +117,19 @@ def compare(rows: pd.DataFrame, metric: str = "position_rmse", base: str = BASE,
                 paired.get("difference"),
                 paired.get("ratio"),
                 len(runs.seeds),
+                len(both) if paired else 0,
             )
         )
     return found
+
+
+def _resamples(seeds: NDArray[np.int64]) -> Resampling:
+    return resample_runs(len(seeds), int(seeds[0]))
+
+
+def _shared(one: Runs, other: Runs) -> NDArray[np.int64]:
+    """Seeds of which both have a value."""
+    return np.intersect1d(one.seeds[~np.isnan(one.values)], other.seeds[~np.isnan(other.values)])
 
 
 def _statistic(metric: str, values: Floats) -> Statistic:
@@ -148,7 +162,7 @@ class Overall(NamedTuple):
     missing: tuple[str, ...]
 
 
-def compare_suites(rows: pd.DataFrame, metric: str = "position_rmse", base: str = BASE, seed: int = 0) -> list[Overall]:
+def compare_suites(rows: pd.DataFrame, metric: str = "position_rmse", base: str = BASE) -> list[Overall]:
     """Every estimator of every suite against the base; arguments as `compare`, intervals as there."""
     pooled = pool_runs(rows, metric)
     members: dict[tuple[str, str], dict[str, Runs]] = {}
@@ -157,16 +171,16 @@ def compare_suites(rows: pd.DataFrame, metric: str = "position_rmse", base: str 
     found = []
     for (suite, estimator), mine in members.items():
         theirs = members.get((suite, base), {})
-        shared = [name for name in theirs if name in mine]
+        pairs = {name: _shared(mine[name], theirs[name]) for name in theirs if name in mine}
+        shared = [name for name, both in pairs.items() if len(both)]
         common = None
         for name in shared:
-            both = np.intersect1d(mine[name].seeds, theirs[name].seeds)
-            common = both if common is None else np.intersect1d(common, both)
+            common = pairs[name] if common is None else np.intersect1d(common, pairs[name])
         if common is None or not len(common):
             continue
         ratios = [_over(_at(metric, mine[name], common), _at(metric, theirs[name], common)) for name in shared]
-        number = measure({"ratio": Score(_geometric(ratios), "")}, resample_runs(len(common), seed))["ratio"]
-        missing = tuple(name for name in theirs if name not in mine)
+        number = measure({"ratio": Score(_geometric(ratios), "")}, _resamples(common))["ratio"]
+        missing = tuple(name for name in theirs if name not in shared)
         found.append(Overall(suite, estimator, number, len(shared), missing))
     return found
 

@@ -45,9 +45,11 @@ METRICS: dict[str, Metric] = {
     "nees_inside": Metric("", "mean", "share of samples whose NEES lies in its 95 % band"),
     "nis": Metric("", "mean", "squared innovation over its covariance, per component; 1 if consistent"),
     "nis_inside": Metric("", "mean", "share of samples whose NIS lies in its 95 % band"),
-    "intent_accuracy": Metric("", "mean", "share of samples whose most probable intent is the true one"),
+    "intent_accuracy": Metric(
+        "", "mean", "share of samples at which the true intent is more probable than any other; ties are wrong"
+    ),
     "intent_delay": Metric(
-        "s", "mean", "time from a switch until the new intent is the most probable; at most its stay"
+        "s", "mean", "time from a switch until the new intent is more probable than any other; at most its stay"
     ),
     "surge_accuracy": Metric("", "mean", "share of samples judged rightly as surging or not"),
     "lost": Metric("", "mean", f"runs with an error above {LOST_AFTER:g} sigma at {LOST_STEPS} samples in a row"),
@@ -62,6 +64,7 @@ class Readings(NamedTuple):
 
     forecast: Floats | None = None  # (B, T, A) position `HORIZON_S` ahead
     intents: Floats | None = None  # (B, T, I) probability of each true intent; NaN column: an intent it does not know
+    alike: tuple[int, ...] = ()  # (I,) equal where it has one word for several true intents; empty: one for each
     surge: Floats | None = None  # (B, T) probability that the noise surges
 
 
@@ -105,7 +108,7 @@ def score_runs(episodes: Episodes, found: Estimates, said: Readings) -> dict[str
     inside = used & (found.nis >= low) & (found.nis <= high)
     values["nis"] = _over(np.where(used, found.nis, 0.0).sum(axis=1), dof.sum(axis=1))
     values["nis_inside"] = _over(inside.sum(axis=1), used.sum(axis=1))
-    values["intent_accuracy"], values["intent_delay"] = _intents(episodes, said.intents)
+    values["intent_accuracy"], values["intent_delay"] = _intents(episodes, said)
     right = None if said.surge is None else (said.surge > 0.5) == surging(episodes)
     values["surge_accuracy"] = np.full(len(error), np.nan) if right is None else right.mean(axis=1)
     return {name: np.asarray(values[name], dtype=np.float64) for name in METRICS}
@@ -171,27 +174,28 @@ def _prediction(episodes: Episodes, forecast: Floats | None) -> Floats:
     return found
 
 
-def _intents(episodes: Episodes, probs: Floats | None) -> tuple[Floats, Floats]:
-    """Accuracy and delay; samples and switches of intents that the estimator does not know do not count."""
-    count = len(episodes.times)
+def _intents(episodes: Episodes, said: Readings) -> tuple[Floats, Floats]:
+    """Accuracy and delay over all samples and switches; what an estimator has no word for, it does not recognise.
+
+    Who says the same of several intents is right with none of them, unless it has one word for them (`alike`).
+    An estimator without a word for any true intent says nothing that could be judged.
+    """
+    count, probs = len(episodes.times), said.intents
     accuracy, delay = np.full(count, np.nan), np.full(count, np.nan)
-    if probs is None:
+    if probs is None or not np.isfinite(probs).any():
         return accuracy, delay
-    knows: NDArray[np.bool_] = np.asarray(np.isfinite(probs).any(axis=(0, 1)))
     shares = np.where(np.isfinite(probs), probs, -1.0)
-    # By value, not by index: one mode may stand for two true intents (turn and orbit).
-    best = shares.max(axis=2)
+    alike = np.array(said.alike or range(shares.shape[2]))
+    others: NDArray[np.bool_] = alike[:, None] != alike[None, :]
     for b, (times, true) in enumerate(zip(episodes.times, episodes.truth.intent.astype(np.int64), strict=True)):
-        counted: NDArray[np.bool_] = knows[true]
-        right: NDArray[np.bool_] = counted & (np.take_along_axis(shares[b], true[:, None], axis=1)[:, 0] >= best[b])
-        if counted.any():
-            accuracy[b] = right[counted].mean()
+        rivals = np.where(others[true], shares[b], -1.0).max(axis=1)
+        right: NDArray[np.bool_] = np.take_along_axis(shares[b], true[:, None], axis=1)[:, 0] > rivals
+        accuracy[b] = right.mean()
         late = []
         begins = np.flatnonzero(np.diff(true)) + 1
         for begin, end in zip(begins, [*begins[1:], len(true)], strict=True):
-            if knows[true[begin]]:
-                seen = np.flatnonzero(right[begin:end])
-                late.append(times[begin + seen[0]] - times[begin] if len(seen) else times[end - 1] - times[begin])
+            seen = np.flatnonzero(right[begin:end])
+            late.append(times[begin + seen[0]] - times[begin] if len(seen) else times[end - 1] - times[begin])
         if late:
             delay[b] = np.mean(late)
     return accuracy, delay
