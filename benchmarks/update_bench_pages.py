@@ -95,13 +95,14 @@ def gap_block(rows):
     lines = []
     for suite in ("surge", "joint"):
         for scenario in SUITES[suite]:
+            seeds = pooled[suite, scenario, "oracle"].seeds
             runs = {name: pooled[suite, scenario, name].values for name in (*FIXED, "robust-imm", *CLOSERS, "oracle")}
             middle = {name: interquartile_mean(values) for name, values in runs.items()}
             count = len(runs["oracle"])
             plain = {name: float(statistic(np.ones((1, count)))[0]) for name, statistic in middle.items()}
             best = min(FIXED, key=plain.__getitem__)
             scores = {name: Score(closed(middle[best], middle[name], middle["oracle"]), "") for name in CLOSERS}
-            numbers = measure(scores, resample_runs(count, 0))
+            numbers = measure(scores, resample_runs(count, int(seeds[0])))
             cells = [
                 f"{number(plain[best], 3)} (`{best}`)",
                 *(number(plain[n], 3) for n in ("robust-imm", *CLOSERS, "oracle")),

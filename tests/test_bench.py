@@ -446,7 +446,7 @@ class Last:
 class Smooths(Last):
     def run(self, measurements, times):
         z = super().run(measurements, times)
-        return z + 0.5 * (np.roll(z, -1, axis=0) - z)
+        return z + 0.5 * (np.roll(z, -1, axis=-2) - z)
 
 class Guesses(Last):
     def run(self, measurements, times):

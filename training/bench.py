@@ -11,9 +11,10 @@ from rich.console import Console
 
 from jink.training.bench_jobs import SIMULATED, Job, jobs_of, rows_of_job
 from jink.training.bench_request import BenchRequest, check_request
-from jink.training.console import progress, say_when_compiling
+from jink.training.console import progress, say_when_compiling, stderr
 from jink.training.ladder.backends import compute_all
 from jink.training.ladder.table import print_ladder
+from jink.training.ladder.typical import EVALUATION_END, EVALUATION_SEED
 from jink.training.row_writer import RowWriter, remove_leftovers
 from jink.training.rows import Cell, finished_cells, make_rows, read_rows
 from jink.training.tables import print_many_suite, print_published, print_recorded
@@ -45,6 +46,7 @@ def bench(request: BenchRequest, console: Console) -> int:
         remove_leftovers(out)
         done = finished_cells(read_rows(out))
         todo = [job for job in jobs if job.cell not in done]
+        _warn_of_seeds(todo)
         stack.enter_context(say_when_compiling())
         _compute(todo, request, out, "bench" if request.suite is None else request.suite)
         rows = _mine(read_rows(out), jobs)
@@ -63,6 +65,18 @@ def bench(request: BenchRequest, console: Console) -> int:
     if quick:
         console.print("a first look: jink bench --suite all --out rows.parquet runs everything", style="dim")
     return int((rows["status"] == "error").any())
+
+
+def _warn_of_seeds(todo: list[Job]) -> None:
+    """Runs outside of the seeds that nothing learns from say little of what was tuned or learned here."""
+    seeds = [(job.cell.seed, job.cell.seed + job.cell.runs - 1) for job in todo if job.cell.suite in SIMULATED]
+    low, high = min((one for one, _ in seeds), default=EVALUATION_SEED), max((last for _, last in seeds), default=0)
+    if low < EVALUATION_SEED or high >= EVALUATION_END:
+        stderr().print(
+            f"jink: seeds {low} to {high}: settings are chosen and models learned on seeds outside of {EVALUATION_SEED} "
+            f"to {EVALUATION_END - 1}, so these runs may favour them. Leave --seed out for a fair table.",
+            markup=False,
+        )
 
 
 def _compute(todo: list[Job], request: BenchRequest, out: Path, text: str) -> None:

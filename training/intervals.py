@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BLOCK_S", "Measured", "Resampling", "Score", "measure", "resample_blocks", "resample_runs"]
+__all__ = ["BLOCK_S", "FEWEST_RUNS", "Measured", "Resampling", "Score", "measure", "resample_blocks", "resample_runs"]
 
 Floats = NDArray[np.float64]
 Statistic = Callable[[Floats], Floats]

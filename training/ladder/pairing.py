@@ -78,8 +78,8 @@ def pool_runs(rows: pd.DataFrame, metric: str) -> dict[Key, Runs]:
 def compare(rows: pd.DataFrame, metric: str = "position_rmse", base: str = BASE) -> list[Comparison]:
     """Every estimator of every scenario against the base, from rows alone.
 
-    A run without a value (NaN) on either side is left out on both; a lost one (infinite) counts. Resamples have the seed
-    of the first run that they draw from, as those of the rows: one number has one interval wherever it is shown.
+    A run without a value (NaN) on either side is left out on both; a lost one (infinite) counts. Resamples have the
+    seed of the first run that they draw from, as those of the rows: a number has one interval wherever it is shown.
 
     Args:
         rows: of `jink bench`; any suites.

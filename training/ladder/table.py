@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 
 import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from jink.training.intervals import Measured
+from jink.training.intervals import FEWEST_RUNS, Measured
 from jink.training.ladder.pairing import BASE, Comparison, compare, compare_suites, in_order
 from jink.training.ladder.rungs import LADDER
 from jink.training.summary import number, plain_table
 
 __all__ = ["print_ladder"]
 
+MARK = " †"
+"""Behind an estimator, or a number of it, that calls more than half of its own steps diverged."""
+Marked = Set[tuple[str, str]]
 _DETAILED = 2
 """Up to so many scenarios have a table each; more of them share one."""
 _LEGEND = "1 s: of predictions; NEES: share in its 95 % band; div.: steps called diverged; us: microseconds a step"
@@ -28,13 +31,26 @@ def print_ladder(console: Console, rows: pd.DataFrame) -> None:
     scenarios = list(dict.fromkeys(each.scenario for each in found))
     found = in_order(found, LADDER)
     extra = _extra(rows)
+    lost = rows[rows["status"] == "diverged"]
+    marked = set(zip(lost["scenario"].astype(str), lost["estimator"].astype(str), strict=True))
     if len(scenarios) <= _DETAILED:
         for scenario in scenarios:
-            _print_scenario(console, [each for each in found if each.scenario == scenario], extra)
+            _print_scenario(console, [each for each in found if each.scenario == scenario], extra, marked)
     else:
-        _print_grid(console, found, scenarios)
+        _print_grid(console, found, scenarios, marked)
         _print_suite(console, rows, extra)
+    _print_doubts(console, found)
     _print_reasons(console, rows)
+
+
+def _print_doubts(console: Console, found: list[Comparison]) -> None:
+    """Numbers without an interval, and differences that are not over all runs."""
+    if any(each.runs < FEWEST_RUNS for each in found):
+        console.print(f"fewer than {FEWEST_RUNS} runs have no interval: add --runs", style="yellow")
+    for each in found:
+        if each.difference is not None and each.pairs < each.runs:
+            text = f"{each.estimator} ({each.scenario}): minus {BASE} over {each.pairs} of {each.runs} runs, which both have"
+            console.print(text, style="dim", markup=False)
 
 
 def _extra(rows: pd.DataFrame) -> dict[tuple[str, str, str], float]:
@@ -53,7 +69,9 @@ def _extra(rows: pd.DataFrame) -> dict[tuple[str, str, str], float]:
     }
 
 
-def _print_scenario(console: Console, found: list[Comparison], extra: Mapping[tuple[str, str, str], float]) -> None:
+def _print_scenario(
+    console: Console, found: list[Comparison], extra: Mapping[tuple[str, str, str], float], marked: Marked
+) -> None:
     first = found[0]
     table = plain_table(
         "estimator", "RMS", "IQM", f"minus {BASE} [95 %]", "1 s", "NEES", "lost", "div.", "us",
@@ -63,7 +81,7 @@ def _print_scenario(console: Console, found: list[Comparison], extra: Mapping[tu
     for each in found:
         more = {name: extra.get((each.scenario, each.estimator, name), math.nan) for name in _MEANS}
         table.add_row(
-            each.estimator,
+            each.estimator + (MARK if (each.scenario, each.estimator) in marked else ""),
             with_half(each.value),
             number(each.iqm.value, 3),
             "" if each.difference is None else bracketed(each.difference, "+", 2),
@@ -77,9 +95,13 @@ def _print_scenario(console: Console, found: list[Comparison], extra: Mapping[tu
     console.print(_LEGEND, style="dim")
 
 
-def _print_grid(console: Console, found: list[Comparison], scenarios: list[str]) -> None:
+def _print_grid(console: Console, found: list[Comparison], scenarios: list[str], marked: Marked) -> None:
     """Estimators by scenarios, in as many tables as the width asks for."""
-    numbers = {(each.estimator, each.scenario): with_half(each.value) for each in found}
+    numbers = {
+        (each.estimator, each.scenario): with_half(each.value)
+        + (MARK if (each.scenario, each.estimator) in marked else "")
+        for each in found
+    }
     names = list(dict.fromkeys(each.estimator for each in found))
     title = f"{found[0].suite}: RMS position m ± half of its 95 % interval, {found[0].runs} runs"
     room = console.width - max(map(len, ("estimator", *names))) - 4
@@ -168,4 +190,5 @@ def _print_reasons(console: Console, rows: pd.DataFrame) -> None:
                 where.setdefault(str(estimator), []).append(str(scenario).removesuffix("-v0"))
             names = ", ".join(f"{name} ({', '.join(dict.fromkeys(some))})" for name, some in where.items())
             why = "more than half of the steps" if status == "diverged" else str(reason)
-            console.print(f"{status}, {why}: {names}", style=style, markup=False)
+            sign = MARK.lstrip() + " " if status == "diverged" else ""
+            console.print(f"{sign}{status}, {why}: {names}", style=style, markup=False)

@@ -14,11 +14,12 @@ from jink.envs.scenarios import make_scenario
 from jink.envs.streams import make_streams
 from jink.estimators.recipes import Scales
 
-__all__ = ["EVALUATION_SEED", "TRAINING_SEED", "simulate_runs", "typical_scales"]
+__all__ = ["EVALUATION_END", "EVALUATION_SEED", "TRAINING_SEED", "simulate_runs", "typical_scales"]
 
-EVALUATION_SEED, TRAINING_SEED = 100_000, 50_000
-"""First run of a table unless told otherwise, and of what settings are chosen on. Run i has the seed of the first
-plus i; nothing that is learned or tuned uses seeds from 100 000 to 999 999."""
+EVALUATION_SEED, EVALUATION_END, TRAINING_SEED = 100_000, 1_000_000, 50_000
+"""First run of a table unless told otherwise, one after the last that it may have, and the first run of what settings
+are chosen on. Run i has the seed of the first plus i; nothing that is learned or tuned uses seeds from 100 000 to
+999 999."""
 _RUNS = 16
 
 
