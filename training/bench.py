@@ -73,8 +73,8 @@ def _warn_of_seeds(todo: list[Job]) -> None:
     low, high = min((one for one, _ in seeds), default=EVALUATION_SEED), max((last for _, last in seeds), default=0)
     if low < EVALUATION_SEED or high >= EVALUATION_END:
         stderr().print(
-            f"jink: seeds {low} to {high}: settings are chosen and models learned on seeds outside of {EVALUATION_SEED} "
-            f"to {EVALUATION_END - 1}, so these runs may favour them. Leave --seed out for a fair table.",
+            f"jink: seeds {low} to {high}: settings are chosen and models learned on seeds outside of "
+            f"{EVALUATION_SEED} to {EVALUATION_END - 1}, so these runs may favour them. Leave --seed out for a fair table.",
             markup=False,
         )
 

@@ -124,7 +124,7 @@ def compare(rows: pd.DataFrame, metric: str = "position_rmse", base: str = BASE)
 
 
 def _resamples(seeds: NDArray[np.int64]) -> Resampling:
-    return resample_runs(len(seeds), int(seeds[0]))
+    return resample_runs(len(seeds), int(seeds[0]) if len(seeds) else 0)
 
 
 def _shared(one: Runs, other: Runs) -> NDArray[np.int64]:

@@ -49,7 +49,8 @@ def _print_doubts(console: Console, found: list[Comparison]) -> None:
         console.print(f"fewer than {FEWEST_RUNS} runs have no interval: add --runs", style="yellow")
     for each in found:
         if each.difference is not None and each.pairs < each.runs:
-            text = f"{each.estimator} ({each.scenario}): minus {BASE} over {each.pairs} of {each.runs} runs, which both have"
+            runs = f"{each.pairs} of {each.runs} runs, which both have"
+            text = f"{each.estimator} ({each.scenario}): minus {BASE} over {runs}"
             console.print(text, style="dim", markup=False)
 
 
