@@ -183,6 +183,9 @@ def test_ties_between_intents_are_no_recognition():
     said[turns, one] = said[turns, other] = 1.0
     alike = tuple(one if k == other else k for k in range(len(names)))
     np.testing.assert_array_equal(score_runs(episodes, found, Readings(None, said, alike))["intent_accuracy"], 1.0)
+    foreign = np.where(turns, 2.0, 0.5)  # an intent of its own that the target does not have
+    accuracy = score_runs(episodes, found, Readings(None, said, alike, foreign=foreign))["intent_accuracy"]
+    np.testing.assert_allclose(accuracy, 1.0 - turns.mean(axis=1))
     said[turns, third] = 1.0
     accuracy = score_runs(episodes, found, Readings(None, said, alike))["intent_accuracy"]
     np.testing.assert_allclose(accuracy, 1.0 - turns.mean(axis=1))

@@ -74,7 +74,7 @@ def _warn_of_seeds(todo: list[Job]) -> None:
     if low < EVALUATION_SEED or high >= EVALUATION_END:
         stderr().print(
             f"jink: seeds {low} to {high}: settings are chosen and models learned on seeds outside of "
-            f"{EVALUATION_SEED} to {EVALUATION_END - 1}, so these runs may favour them. Leave --seed out for a fair table.",
+            f"{EVALUATION_SEED} to {EVALUATION_END - 1}, so these runs may favour them. Leave --seed out.",
             markup=False,
         )
 

@@ -189,27 +189,32 @@ def _following(estimator: Any, scenario: Scenario, settings: Settings, told: Map
     def read(episodes: Episodes, found: Estimates) -> Readings:
         z, times, noise, places = inputs(episodes)
         forecast = estimator.forecast_run(z, times, HORIZON_S, noise, places, prior=_prior(episodes))[0]
-        intents, alike = _true_intents(estimator, scenario, found)
-        return Readings(forecast, intents, alike, _surge(estimator, found))
+        said = _true_intents(estimator, scenario, found)
+        return said._replace(forecast=forecast, surge=_surge(estimator, found))
 
     return Follower(estimate, read, told)
 
 
-def _true_intents(estimator: Any, scenario: Scenario, found: Estimates) -> tuple[Floats | None, tuple[int, ...]]:
-    """Probability of each true intent, (B, T, I), and which of them the bank has one word for (see `Readings`).
+def _true_intents(estimator: Any, scenario: Scenario, found: Estimates) -> Readings:
+    """What a bank says of the true intents and of those that the target does not have.
 
-    None where the bank has one intent or the target has.
+    Nothing where the bank has one intent or the target has.
     """
     names = list(getattr(estimator, "intents", ()))
     if len(names) < 2 or len(scenario.intents) < 2:
-        return None, ()
+        return Readings()
     probs = np.asarray(estimator.intent_probs(found))
     shares = np.full((*probs.shape[:2], len(scenario.intents)), np.nan)
     words = [tuple(i for i, name in enumerate(names) if name in _SAME.get(true, (true,))) for true in scenario.intents]
     for column, mine in enumerate(words):
         if mine:
             shares[..., column] = probs[..., list(mine)].sum(axis=2)
-    return shares, tuple(words.index(mine) for mine in words)
+    foreign = [i for i in range(len(names)) if not any(i in mine for mine in words)]
+    return Readings(
+        intents=shares,
+        alike=tuple(words.index(mine) for mine in words),
+        foreign=probs[..., foreign].max(axis=2) if foreign else None,
+    )
 
 
 def _surge(estimator: Any, found: Estimates) -> Floats | None:

@@ -66,6 +66,7 @@ class Readings(NamedTuple):
     intents: Floats | None = None  # (B, T, I) probability of each true intent; NaN column: an intent it does not know
     alike: tuple[int, ...] = ()  # (I,) equal where it has one word for several true intents; empty: one for each
     surge: Floats | None = None  # (B, T) probability that the noise surges
+    foreign: Floats | None = None  # (B, T) largest probability of an intent of its own that the target does not have
 
 
 def surging(episodes: Episodes) -> NDArray[np.bool_]:
@@ -187,8 +188,9 @@ def _intents(episodes: Episodes, said: Readings) -> tuple[Floats, Floats]:
     shares = np.where(np.isfinite(probs), probs, -1.0)
     alike = np.array(said.alike or range(shares.shape[2]))
     others: NDArray[np.bool_] = alike[:, None] != alike[None, :]
+    foreign = np.full(shares.shape[:2], -1.0) if said.foreign is None else said.foreign
     for b, (times, true) in enumerate(zip(episodes.times, episodes.truth.intent.astype(np.int64), strict=True)):
-        rivals = np.where(others[true], shares[b], -1.0).max(axis=1)
+        rivals = np.maximum(np.where(others[true], shares[b], -1.0).max(axis=1), foreign[b])
         right: NDArray[np.bool_] = np.take_along_axis(shares[b], true[:, None], axis=1)[:, 0] > rivals
         accuracy[b] = right.mean()
         late = []
