@@ -97,7 +97,7 @@ def results_block(rows):
     lines += [
         "",
         f"Root mean square of {runs} held-out runs; by paired intervals ▼ better, ▲ worse, = level with `imm`,",
-        "and ▼▼ better than the best tuned filter too. All are tuned by one search; `imm`, which knows no surges, calls",
+        "and ▼▼ better than the best tuned filter too. All are tuned by one search; `imm`, without surges, still calls",
         f"{lost} of its own steps diverged. `jink bench --suite NAME --runs {runs} --out rows.parquet`,",
         f"with NAME {suites}, then `python benchmarks/commit_rows.py rows.parquet` make the rows.",
         "Every estimator with its interval; dotted is the oracle, a reference and no bound:",
