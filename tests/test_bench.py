@@ -488,7 +488,7 @@ def test_ctrl_c_stops_whoever_is_computing(tmp_path, capsys):
     assert set(read_rows(tmp_path / "rows.parquet")["estimator"]) == {"kf-cv"}
 
 
-@pytest.mark.parametrize(("name", "reason"), [("Smooths", "it looks ahead"), ("Guesses", "a second run")])
+@pytest.mark.parametrize(("name", "reason"), [("Smooths", "later measurements change"), ("Guesses", "a second run")])
 def test_who_looks_ahead_has_no_place_among_filters(tmp_path, name, reason):
     rows = rows_of(
         BenchRequest("surge", scenarios=("surge-v0",), estimators=("kf-cv", outside(tmp_path, name)), runs=2)
