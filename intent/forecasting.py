@@ -17,6 +17,7 @@ from jink.estimators.records import State
 __all__ = ["PositionForecast", "forecast"]
 
 Floats = NDArray[np.float64]
+_MOST_POINTS = 2**25  # of all paths together; some gigabytes
 
 
 @dataclass(frozen=True)
@@ -229,12 +230,18 @@ def forecast(
         a mixture over the mode now and the mode then; one component for an estimator of one mode.
 
     Raises:
-        ValueError: as `BankEstimator.extrapolate`, or paths < 0.
+        ValueError: as `BankEstimator.extrapolate`, or paths < 0 or more than fit into memory.
     """
-    if paths < 0:
-        raise ValueError(f"forecast: paths must be >= 0; got {paths}. Use 20.")
+    if isinstance(paths, bool) or not isinstance(paths, (int, np.integer)) or paths < 0:
+        raise ValueError(f"forecast: paths must be an integer >= 0; got {paths!r}. Use 20.")
     roads = estimator.extrapolate(state, horizons)
     B, H, M = roads.weights.shape[:3]
+    most = _MOST_POINTS // max(B * (H + 1), 1)
+    if paths > most:
+        raise ValueError(
+            f"forecast: paths must be at most {most} for {B} states and {H} horizons; got {paths}. "
+            "Draw fewer, or forecast in parts with other seeds."
+        )
     ahead = np.array(np.broadcast_to(np.atleast_1d(np.asarray(horizons, dtype=np.float64)), (B, H)))
     axes = roads.mean.shape[-1]
     drawn = np.empty((B, 0, H, axes))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from jink.intent.laws import Birth, Law, Phase
 from jink.intent.model import Intent, IntentModel
-from jink.intent.sides import keeps_side, lasting
+from jink.intent.sides import keeps_side, spell_length
 
 __all__ = [
     "MOST_BIRTHS",
@@ -48,20 +48,13 @@ def settled(model: IntentModel) -> IntentModel:
 def _flows(model: IntentModel) -> tuple[Floats, Floats]:
     """Share of time of each intent (P,), and switches per second from each to each (P, P)."""
     shares = model.intent_probs(model.mode_shares())
-    lasting = np.array([_stay(model, i) for i in range(len(model.intents))])
+    lasting = np.array([model.chain_lasting(i) for i in range(len(model.intents))])
     rates = np.array(model.generator)
     off = rates - np.diag(np.diag(rates))
     leaving = off.sum(axis=1)
     ends = np.divide(shares, lasting, out=np.zeros_like(shares), where=lasting > 0)
     targets = np.divide(off, leaving[:, None], out=np.zeros_like(off), where=leaving[:, None] > 0)
     return shares, ends[:, None] * targets
-
-
-def _stay(model: IntentModel, number: int) -> float:
-    """Mean time in an intent, s; inf where it never ends."""
-    leaving = -model.generator[number][number]
-    before = math.fsum(phase.duration for phase in model.intents[number].phases[:-1])
-    return before + (1.0 / leaving if leaving > 0 else math.inf)
 
 
 def _rebuilt(
@@ -86,7 +79,7 @@ def _last_shares(model: IntentModel, shares: Floats) -> list[float]:
     """Share of time in the last phase of each intent."""
     found = []
     for i, intent in enumerate(model.intents):
-        whole = _stay(model, i)
+        whole = model.chain_lasting(i)
         last = whole - math.fsum(phase.duration for phase in intent.phases[:-1])
         found.append(float(shares[i]) * (last / whole if math.isfinite(whole) else 1.0))
     return found
@@ -251,7 +244,7 @@ def tidy(model: IntentModel, most: int = MOST_BIRTHS) -> IntentModel:
             while len(births) > most:
                 births = closest_joined(births)
             births.sort(key=lambda birth: -birth.weight)
-            lasts = lasting(model, i, k)
+            lasts = spell_length(model, i, k)
             mirrored = phase.mirrored and any(keeps_side(phase, birth, lasts, _ONE_SIDED) for birth in births)
             law = phase.law if mirrored or not phase.mirrored else replace(phase.law, turn_mean=0.0)
             if phase.mirrored:

@@ -16,6 +16,7 @@ from jink.estimators.motions.bilinear import bilinear
 __all__ = ["Birth", "Law", "Phase"]
 
 _WEIGHT_TOLERANCE = 1e-9
+_LARGEST = 1e30
 
 
 def _number(caller: str, name: str, value: object, rule: str = ">= 0") -> float:
@@ -24,6 +25,10 @@ def _number(caller: str, name: str, value: object, rule: str = ">= 0") -> float:
         number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
         number = math.nan
+    if math.isfinite(number) and abs(number) > _LARGEST:
+        raise ValueError(
+            f"{caller}: {name} must be at most {_LARGEST:g} in size; got {value!r}. Use SI units and radians."
+        )
     holds = math.isfinite(number) and not (rule == ">= 0" and number < 0) and not (rule == "> 0" and number <= 0)
     if not holds:
         wanted = "a finite number" if rule == "finite" else f"a finite number {rule}"

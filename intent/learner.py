@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,11 +13,13 @@ import numpy as np
 
 from jink.estimators.bank import Bank
 from jink.estimators.sensor import Sensor
+from jink.estimators.sensors import position
 from jink.estimators.tracks import Tracks
 from jink.intent.devices import check_device
 from jink.intent.diary import Diary
 from jink.intent.lessons import make_lessons, positions_of
 from jink.intent.model import IntentModel
+from jink.intent.options import check_options
 from jink.intent.progress import Progress
 from jink.intent.selection import CurvePoint
 from jink.intent.training_schedule import Settings, learn
@@ -73,23 +74,8 @@ class IntentLearner:
         checkpoint: str | Path | None = None,
         **work: int,
     ) -> None:
-        if axes not in (2, 3):
-            raise ValueError(f"IntentLearner: axes must be 2 or 3; got {axes!r}. Use 2 for the plane, 3 for space.")
-        if intents is not None and not (isinstance(intents, int) and 1 <= intents <= 7):
-            raise ValueError(f"IntentLearner: intents must be an integer 1 to 7 or None; got {intents!r}. Try None.")
-        if seconds is not None and not (seconds > 0 and math.isfinite(seconds)):
-            raise ValueError(f"IntentLearner: seconds must be > 0 and finite; got {seconds!r}. Leave it out.")
-        if isinstance(noise_sd, str) and noise_sd != "learn":
-            raise ValueError(f"IntentLearner: noise_sd must be metres, 'learn' or None; got {noise_sd!r}. Use 'learn'.")
-        if isinstance(noise_sd, (int, float)) and not 0.0 < noise_sd < math.inf:
-            raise ValueError(f"IntentLearner: noise_sd must be > 0 m and finite; got {noise_sd}. Use 'learn'.")
+        check_options(axes, intents, seconds, seed, noise_sd, device, {"threads": threads, **work})
         check_device(device)
-        known = {field.name for field in dataclasses.fields(Settings)} - {"intents", "seconds", "seed", "device"}
-        if set(work) - known:
-            raise ValueError(
-                f"IntentLearner: work must name {', '.join(sorted(known))}; got "
-                f"{', '.join(sorted(set(work) - known))}. See Settings."
-            )
         self.axes, self.noise_sd, self.progress, self.checkpoint = axes, noise_sd, progress, checkpoint
         self.settings = Settings(
             intents=intents, seconds=seconds, seed=int(seed), device=device, threads=int(threads), **work
@@ -155,14 +141,29 @@ class IntentLearner:
         return float(scores.sum() / max(batch.rows, 1))
 
     def segment(self, tracks: Tracks) -> Segmentation:
-        """Which intent each row belongs to, from the whole of each track; see `jink.intent.segmentation.segment`."""
+        """Which intent each row belongs to, from the whole of each track; see `jink.intent.segmentation.segment`.
+
+        Positions have the noise that was learned; else the one this learner was given; else their own.
+        """
         from jink.intent.segmentation import segment
 
-        return segment(self._fitted("segment"), tracks)
+        model, sensor = self._fitted("segment"), None
+        if tracks.sensor == "position" and model.noise_sd is None and _number(self.noise_sd) is not None:
+            sensor, tracks = self._sensor(), dataclasses.replace(tracks, noise=None)
+        return segment(model, tracks, sensor)
 
     def bank(self, sensor: Sensor | None = None, **options: object) -> Bank:
-        """The bank of the learned intents, for `BankEstimator`; see `IntentModel.bank`."""
-        return self._fitted("bank").bank(sensor, **options)
+        """The bank of the learned intents, for `BankEstimator`; see `IntentModel.bank`.
+
+        Without a sensor: positions with the noise that was learned, else the one this learner was given.
+        """
+        model = self._fitted("bank")
+        return model.bank(self._sensor() if sensor is None and model.noise_sd is None else sensor, **options)
+
+    def _sensor(self) -> Sensor | None:
+        """Positions with the noise this learner was given; None: it was given none."""
+        sigma = _number(self.noise_sd)
+        return None if sigma is None else position(self.axes, sigma)
 
     def _fitted(self, caller: str) -> IntentModel:
         if not hasattr(self, "model_"):

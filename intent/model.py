@@ -17,9 +17,10 @@ from jink.estimators.markov import MarkovChain
 from jink.estimators.motion import Motion
 from jink.estimators.sensor import Sensor
 from jink.estimators.sensors import position
-from jink.intent.describing import describe_intent
+from jink.intent.describing import describe_intent, say_lasting
 from jink.intent.laws import Birth, Law, Phase
 from jink.intent.rollouts import follow
+from jink.intent.sides import spell_length
 
 __all__ = ["Intent", "IntentModel", "ModeRecord"]
 
@@ -88,6 +89,9 @@ class IntentModel:
         noise_sd: standard deviation of the measurement noise that was learned, (A,), m; None: the sensor's own.
         speed: standard deviation of each velocity component before anything is known; m/s.
         about: where the model comes from (seed, command, versions, tracks, likelihood curve).
+        endings: how often an intent gave way to another on the tracks that were learned from, as the smoother sees it
+            (`jink.intent.endings`), per second spent in it; (P,); 1/s; empty: unknown. Filters do not use it: the chain
+            that predicts best is not how long intents last.
 
     Raises:
         ValueError: the parts do not fit; the sentence names them.
@@ -102,6 +106,7 @@ class IntentModel:
     noise_sd: tuple[float, ...] | None = None
     speed: float = 10.0
     about: Mapping[str, object] = field(default_factory=dict, compare=False)
+    endings: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -146,6 +151,15 @@ class IntentModel:
                 f"IntentModel: speed must be > 0 m/s and finite; got {self.speed!r}. Give a typical speed."
             )
         put(self, "speed", float(self.speed))
+        if len(self.endings):
+            endings = _matrix("endings", self.endings, (count,), np.zeros(0))
+            if (endings < 0).any():
+                raise ValueError(
+                    f"IntentModel: endings must be >= 0 1/s; got {endings.tolist()}. Leave them out if unknown."
+                )
+            put(self, "endings", tuple(endings.tolist()))
+        else:
+            put(self, "endings", ())
 
     @property
     def second_order(self) -> bool:
@@ -290,13 +304,37 @@ class IntentModel:
     def describe(self) -> str:
         """One line per intent that a person can read."""
         shares = self.intent_probs(self.mode_shares())
-        leaving = -np.diag(np.array(self.generator))
         return "\n".join(
             describe_intent(
-                number + 1, intent.name, intent.phases, float(leaving[number]) + intent.renewal, float(share)
+                number + 1,
+                intent.name,
+                intent.phases,
+                [spell_length(self, number, k) for k in range(len(intent.phases))],
+                self.spell_lasting(number),
+                float(share),
             )
             for number, (intent, share) in enumerate(zip(self.intents, shares, strict=True))
         )
+
+    def chain_lasting(self, number: int) -> float:
+        """Mean time in an intent with all its phases if the chain were the truth, s; inf where it never ends."""
+        leaving = -self.generator[number][number]
+        before = math.fsum(phase.duration for phase in self.intents[number].phases[:-1])
+        return before + (1.0 / leaving if leaving > 0 else math.inf)
+
+    def lasting(self, number: int) -> float:
+        """Mean time in an intent, s; inf where it never ends.
+
+        From its beginning until another one follows: a renewal (a left turn after a right one) does not end it. As seen
+        on the tracks that were learned from (``endings``); where that is unknown, by the chain.
+        """
+        if not self.endings:
+            return self.chain_lasting(number)
+        return 1.0 / self.endings[number] if self.endings[number] > 1e-300 else math.inf
+
+    def spell_lasting(self, number: int) -> str:
+        """`lasting` in words: "lasts 21 s", "never ends"; it says "by its chain" where nothing better is known."""
+        return say_lasting(self.lasting(number), bool(self.endings))
 
     def rollout(
         self,
@@ -321,12 +359,15 @@ class IntentModel:
             Positions (T, A); m.
 
         Raises:
-            ValueError: an unknown intent or a wrong shape.
+            ValueError: an unknown intent, a wrong shape, or numbers that are not finite.
         """
         names = [item.name for item in self.intents]
         number = names.index(intent) if isinstance(intent, str) and intent in names else intent
         if not isinstance(number, (int, np.integer)) or not 0 <= number < len(names):
             raise ValueError(f"rollout: intent must be a number below {len(names)} or one of {names}; got {intent!r}.")
+        for name, value, unit in (("kin", kin, "m and m/s"), ("own", own, "1/s and rad/s"), ("times", times, "s")):
+            if value is not None and not np.isfinite(np.asarray(value, dtype=np.float64)).all():
+                raise ValueError(f"rollout: {name} must be finite; got {value!r}. Give numbers in {unit}.")
         legs = []
         phases = self.intents[int(number)].phases
         for phase in phases:
@@ -338,7 +379,9 @@ class IntentModel:
         return follow(legs, np.asarray(kin, dtype=np.float64), own, np.asarray(times, dtype=np.float64))
 
     def with_(self, **changes: object) -> IntentModel:
-        """A copy with some fields changed."""
+        """A copy with some fields changed; ``endings`` are forgotten where intents or their chain become others."""
+        if not {"intents", "generator"}.isdisjoint(changes):
+            changes = {"endings": (), **changes}
         return replace(self, **changes)  # type: ignore[arg-type]
 
 

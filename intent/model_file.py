@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 MODEL_FILE = "intents.json"
 """Names, counts and provenance; the numbers lie beside it in ``weights-<hash>.safetensors``."""
-FORMAT, VERSION = "jink intents", 1
+FORMAT, VERSION = "jink intents", 2
 LAW = (
     "growth_mean",
     "growth_rate",
@@ -40,10 +40,11 @@ LAW = (
 """Columns of the tensor ``laws``, one row per phase; a swing rate of 0 is none."""
 BIRTH = ("weight", "growth_mean", "growth_sd", "turn_mean", "turn_sd", "swing_sd")
 """Columns of the tensor ``births``, one row per component, phase after phase."""
+_KNOWN = (1, 2)  # version 1 has no endings
 _LARGEST = 2**22
 _DEPTH = 10
 _INTENTS, _PHASES, _BIRTHS, _MODES = 64, 16, 16, 512
-_KEYS = ("format", "version", "axes", "weights", "learned_noise", "intents", "about")
+_KEYS = ("format", "version", "axes", "weights", "learned_noise", "known_endings", "intents", "about")
 _AGAIN = "Save the model again."
 
 
@@ -145,7 +146,8 @@ def _document(model: IntentModel, digest: str) -> dict[str, Any]:
         }
         for intent in model.intents
     ]
-    values = (FORMAT, VERSION, model.axes, digest, model.noise_sd is not None, intents, dict(model.about))
+    known = (model.noise_sd is not None, bool(model.endings))
+    values = (FORMAT, VERSION, model.axes, digest, *known, intents, dict(model.about))
     return dict(zip(_KEYS, values, strict=True))
 
 
@@ -165,6 +167,8 @@ def _tensors(model: IntentModel) -> dict[str, Floats]:
     }
     if model.noise_sd is not None:
         tensors["noise_sd"] = model.noise_sd
+    if model.endings:
+        tensors["endings"] = model.endings
     return {name: np.array(value, dtype=np.float64) for name, value in tensors.items()}
 
 
@@ -172,9 +176,10 @@ def _model(text: bytes, weights_of: Any) -> IntentModel:
     """The model of a JSON text and a function from the name of the weights to their bytes."""
     document = parse_json(text, MODEL_FILE, _DEPTH)
     found = document.get("format"), document.get("version")
-    if found != (FORMAT, VERSION) or type(found[1]) is not int:
-        refuse(MODEL_FILE, f"have format '{FORMAT}' and version {VERSION}", found, "Use the Jink that wrote it.")
-    check_names(document, dict.fromkeys(_KEYS), MODEL_FILE, "keys")
+    if found[0] != FORMAT or type(found[1]) is not int or found[1] not in _KNOWN:
+        refuse(MODEL_FILE, f"have format '{FORMAT}' and version 1 or {VERSION}", found, "Use the Jink that wrote it.")
+    keys = tuple(key for key in _KEYS if found[1] > 1 or key != "known_endings")
+    check_names(document, dict.fromkeys(keys), MODEL_FILE, "keys")
     axes, digest, noise = document["axes"], document["weights"], document["learned_noise"]
     if axes not in (2, 3) or type(axes) is not int:
         refuse(MODEL_FILE, "have axes 2 or 3", repr(axes), _AGAIN)
@@ -182,6 +187,9 @@ def _model(text: bytes, weights_of: Any) -> IntentModel:
         refuse(MODEL_FILE, "have weights, a SHA-256 in 64 hexadecimal digits", repr(digest)[:80], _AGAIN)
     if not isinstance(noise, bool):
         refuse(MODEL_FILE, "have learned_noise true or false", repr(noise)[:60], _AGAIN)
+    endings = document.get("known_endings", False)
+    if not isinstance(endings, bool):
+        refuse(MODEL_FILE, "have known_endings true or false", repr(endings)[:60], _AGAIN)
     if not isinstance(document["about"], dict):
         refuse(MODEL_FILE, "have about, an object", type(document["about"]).__name__, _AGAIN)
     outline = _outline(document["intents"])
@@ -200,6 +208,8 @@ def _model(text: bytes, weights_of: Any) -> IntentModel:
     }
     if noise:
         wanted["noise_sd"] = (axes,)
+    if endings:
+        wanted["endings"] = (P,)
     name = _weights_name(digest)
     content = weights_of(name)
     if hashlib.sha256(content).hexdigest() != digest:
@@ -269,4 +279,5 @@ def _assemble(
         None if noise is None else tuple(noise.tolist()),
         float(tensors["speed"][0]),
         about,
+        tuple(tensors["endings"].tolist()) if "endings" in tensors else (),
     )

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from jink.intent.describing import weaves
+from jink.intent.describing import sizes, still, weaves
 from jink.intent.model import Intent, IntentModel
+from jink.intent.sides import spell_length
 
 __all__ = ["named"]
 
@@ -19,7 +20,7 @@ def named(model: IntentModel) -> IntentModel:
     used: dict[str, int] = {}
     intents: list[Intent] = []
     for i in order:
-        word = _word(model.intents[i])
+        word = _word(model.intents[i], spell_length(model, int(i), 0))
         used[word] = used.get(word, 0) + 1
         intents.append(replace(model.intents[i], name=word if used[word] == 1 else f"{word} {used[word]}"))
     rates = np.array(model.generator)[np.ix_(order, order)]
@@ -30,19 +31,16 @@ def named(model: IntentModel) -> IntentModel:
     )
 
 
-def _word(intent: Intent) -> str:
-    """What an intent does, in a word or two."""
+def _word(intent: Intent, spell: float) -> str:
+    """What an intent does in spells of so many seconds, in a word or two; straight as `describe_phase` has it."""
     if len(intent.phases) > 1:
         return "manoeuvre"
     phase = intent.phases[0]
     if weaves(phase):
         return "weave"
-    turn = 0.0
-    if phase.law.swing is None:
-        turn = max(abs(birth.turn_mean) + birth.turn_sd for birth in phase.births)
+    (_, turn, _), (_, growth, _) = sizes(phase, spell)
     growths = [(birth.growth_mean, birth.growth_sd) for birth in phase.births]
-    growth = max(abs(mean) + sd for mean, sd in growths)
-    if turn < math.radians(1.0) and growth < 0.007:
+    if still(turn, growth):
         return "straight"
     if turn > growth:
         return "turn"

@@ -13,7 +13,7 @@ from jink.estimators.sensor import Sensor
 from jink.estimators.sensors import make_sensor, position
 from jink.estimators.tracks import Tracks
 from jink.intent.model import IntentModel
-from jink.intent.sides import keeps_side, lasting
+from jink.intent.sides import keeps_side, spell_length
 
 __all__ = ["ChangePoint", "Run", "Segmentation", "segment", "tracks_sensor"]
 
@@ -58,6 +58,7 @@ class Segmentation:
             label does and 0 elsewhere.
         filtered: probability of each label given the track so far; (B, T, P); None: unknown.
         window: width around a change point in which a switch counts for its probability, s.
+        endings: probability that each label ended between the row before and this one; (B, T, P); None: unknown.
 
     Raises:
         ValueError: shapes do not fit each other.
@@ -71,6 +72,7 @@ class Segmentation:
     switches: Floats | None = None
     filtered: Floats | None = None
     window: float = 0.0
+    endings: Floats | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
@@ -78,6 +80,7 @@ class Segmentation:
         P = self.probs.shape[-1]
         put(self, "names", tuple(self.names) or tuple(str(p + 1) for p in range(P)))
         expected = {"probs": (B, T, P), "times": (B, T), "lengths": (B,), "switches": (B, T), "filtered": (B, T, P)}
+        expected["endings"] = (B, T, P)
         for name, shape in expected.items():
             value = getattr(self, name)
             if value is not None and value.shape != shape:
@@ -99,13 +102,14 @@ class Segmentation:
         switches: Floats | None = None,
         filtered: Floats | None = None,
         window: float | None = None,
+        endings: Floats | None = None,
     ) -> Segmentation:
         """From probabilities (B, T, P): the most probable label of each row; window None: four median time steps."""
         labels = np.where(np.arange(times.shape[1]) < lengths[:, None], probs.argmax(axis=2), -1)
         if window is None:
             steps = np.diff(times, axis=1)
             window = _WINDOW_STEPS * float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
-        return cls(labels.astype(np.int64), probs, times, lengths, names, switches, filtered, window)
+        return cls(labels.astype(np.int64), probs, times, lengths, names, switches, filtered, window, endings)
 
     def change_points(self, track: int) -> tuple[ChangePoint, ...]:
         """Where the label of a track (by position) changes, in order."""
@@ -194,16 +198,17 @@ def segment(
     member = np.eye(len(names))[group]
     bank = estimator.bank
     chain = bank.chain if bank.chain is not None else MarkovChain(matrix=((1.0,),))
-    switches = _switch_probs(filtered, smoothed, tracks.times, chain, group)
-    switches[np.arange(tracks.times.shape[1]) >= tracks.lengths[:, None]] = 0.0
+    endings = _ending_probs(filtered, smoothed, tracks.times, chain, group)
+    endings[np.arange(tracks.times.shape[1]) >= tracks.lengths[:, None]] = 0.0
     return Segmentation.of_probs(
         smoothed @ member,
         tracks.times,
         tracks.lengths,
         names=names,
-        switches=switches,
+        switches=np.clip(endings.sum(axis=2), 0.0, 1.0),
         filtered=filtered @ member,
         window=window,
+        endings=endings,
     )
 
 
@@ -214,7 +219,7 @@ def _groups(model: IntentModel, handed: bool) -> tuple[NDArray[np.int64], tuple[
     for mode in model.modes:
         name = model.intents[mode.intent].name
         phase = model.phase_of(mode)
-        lasts = lasting(model, mode.intent, mode.phase)
+        lasts = spell_length(model, mode.intent, mode.phase)
         if handed and phase.mirrored and all(keeps_side(phase, birth, lasts) for birth in phase.births):
             name += " left" if mode.sign > 0 else " right"
         if name not in names:
@@ -223,18 +228,19 @@ def _groups(model: IntentModel, handed: bool) -> tuple[NDArray[np.int64], tuple[
     return np.array(group, dtype=np.int64), tuple(names)
 
 
-def _switch_probs(
+def _ending_probs(
     filtered: Floats, smoothed: Floats, times: Floats, chain: MarkovChain, group: NDArray[np.int64]
 ) -> Floats:
-    """Probability of a pair of unlike labels at each row; (B, T); 0 at the first."""
-    out = np.zeros(times.shape)
+    """Probability of a pair of unlike labels at each row, by the first of both; (B, T, P); 0 at the first row."""
+    member = np.eye(int(group.max()) + 1)[group]
+    out = np.zeros((*times.shape, member.shape[1]))
     steps = np.diff(times, axis=1)
     unlike = group[:, None] != group[None, :]
     for dt in np.unique(steps):
         b, t = np.nonzero(steps == dt)
         Pi = np.asarray(chain.at(float(dt)))
         pairs = _pairs(filtered[b, t], Pi, smoothed[b, t], smoothed[b, t + 1])
-        out[b, t + 1] = np.einsum("kij,ij->k", pairs, unlike, optimize=True)
+        out[b, t + 1] = np.einsum("kij,ij->ki", pairs, unlike, optimize=True) @ member
     return np.clip(out, 0.0, 1.0)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ __all__ = [
     "choose",
     "curve_of",
     "freedom",
+    "gain_over_one",
     "row_scores",
     "shorter_models",
     "smaller_models",
@@ -153,3 +154,23 @@ def curve_of(scores: dict[int, Floats], rows: Floats, seed: int) -> tuple[CurveP
         low, high = np.quantile(draws, (0.025, 0.975))
         points.append(CurvePoint(count, means[count], means[best] + float(low), means[best] + float(high)))
     return tuple(points)
+
+
+def gain_over_one(curve: Sequence[tuple[float, ...]]) -> tuple[float, float, float] | None:
+    """What the best of several intents brings over one, nats per row, with its 95 % interval.
+
+    Args:
+        curve: `CurvePoint` of every number, or rows like them.
+
+    Returns:
+        gain, low, high; None: the curve lacks one intent or has nothing else.
+    """
+    points = {int(point[0]): tuple(float(value) for value in point[1:4]) for point in curve}
+    if 1 not in points or len(points) < 2:
+        return None
+    one = points.pop(1)
+    several = max(points.values(), key=lambda point: point[0])
+    if several[0] > one[0]:
+        # The interval of one is that of its difference to the best.
+        return several[0] - one[0], several[0] - one[2], several[0] - one[1]
+    return several[0] - one[0], several[1] - one[0], several[2] - one[0]

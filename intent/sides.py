@@ -10,13 +10,13 @@ from jink.intent.laws import Birth, Phase
 if TYPE_CHECKING:
     from jink.intent.model import IntentModel
 
-__all__ = ["keeps_side", "lasting", "spell_turn"]
+__all__ = ["keeps_side", "spell_length", "spell_turn"]
 
 _ENDLESS = 1e9  # s
 
 
-def lasting(model: IntentModel, intent: int, phase: int) -> float:
-    """Mean time in a phase of an intent, s."""
+def spell_length(model: IntentModel, intent: int, phase: int) -> float:
+    """Mean time that one draw of shape parameters is kept, s; a renewal ends it, but not the intent (`lasting`)."""
     phases = model.intents[intent].phases
     if phase < len(phases) - 1:
         return phases[phase].duration

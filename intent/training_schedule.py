@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from jink.estimators.tracks import Tracks
 from jink.intent.diary import Diary
+from jink.intent.endings import with_endings
 from jink.intent.first_guess import first_intents, guess, one_intent, restless_intents
 from jink.intent.joining import tidy
 from jink.intent.lessons import Lessons, first_spoiled
@@ -97,7 +98,7 @@ def learn(lessons: Lessons, settings: Settings, diary: Diary, tell: Callable[[Pr
 
     model, numbers = diary.stage("final", last)
     return Outcome(
-        named(model),
+        with_endings(named(model), trainer.lessons.pieces, settings.threads),
         curve_of(kept.scores, rows, settings.seed),
         resolvable,
         float(numbers["log_likelihood"]),

@@ -168,6 +168,13 @@ def test_density_is_a_density(ways):
     assert image[row, column] == pytest.approx(np.exp(-ways.nll(there)[0, 1]), rel=1e-9)
 
 
+def test_paths_that_no_memory_holds_are_refused(single):
+    estimator, state = single
+    for paths in (10**9, 2**24, 2.5, True, -1):
+        with pytest.raises(ValueError, match="forecast: paths must be"):
+            forecast(estimator, state, [1.0, 2.0], paths=paths)
+
+
 def test_paths_are_spread_as_the_mixture_at_every_horizon():
     estimator = bank([0.1, 20.0], rates=((-0.3, 0.3), (0.6, -0.6)))
     state = estimator.start(*measured())

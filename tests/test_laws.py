@@ -9,8 +9,10 @@ from scipy.linalg import expm
 from jink.estimators.api import BankEstimator
 from jink.estimators.bank import Bank, Mode
 from jink.estimators.sensors import position
+from jink.intent.describing import describe_phase
 from jink.intent.laws import Birth, Law, Phase
 from jink.intent.model import Intent, IntentModel
+from jink.intent.naming import named
 
 STRAIGHT = Intent("straight", (Phase(Law(2, wobble=0.1), (Birth(),)),))
 TURN = Intent(
@@ -137,13 +139,13 @@ def test_rollout_is_the_motion_function():
 
 def test_description_can_be_read():
     lines = MODEL.describe().splitlines()
-    assert lines[0] == "intent 1 (straight): straight, lasts 20 s, 68 % of the time"
-    assert "turn, 4-14 deg/s either way" in lines[1] and "lasts 8.3 s" in lines[1]
+    assert lines[0] == "intent 1 (straight): straight, lasts 20 s by its chain, 68 % of the time"
+    assert "turn, 4.2-13 deg/s either way" in lines[1] and "lasts 10 s by its chain" in lines[1]
     assert lines[2].count("turn, 17 deg/s either way") == 2 and "lasts 9 s" in lines[2]
     left = Phase(Law(2), (Birth(turn_mean=0.1, turn_sd=0.01, growth_mean=0.0),))
     faster = Phase(Law(2), (Birth(growth_mean=0.05, growth_sd=0.01),))
     words = IntentModel(2, (Intent("a", left), Intent("b", faster)), ((-1, 1), (1, -1))).describe()
-    assert "deg/s to the left, lasts 1 s" in words and "speed up, 4-6 %/s" in words
+    assert "deg/s to the left, lasts 1 s by its chain" in words and "speed up, 4-6 %/s" in words
     assert "never ends" in IntentModel(2, (Intent("a", left),)).describe()
 
 
@@ -187,3 +189,47 @@ def test_about_is_no_part_of_equality():
 def test_one_clear_sentence(make, words):
     with pytest.raises(ValueError, match=words):
         make()
+
+
+def test_durations_are_those_that_were_seen():
+    """A renewal does not end an intent; what was counted on tracks comes before what the chain says."""
+    assert MODEL.intents[1].renewal > 0 and MODEL.lasting(1) == pytest.approx(-1 / MODEL.generator[1][1])
+    seen = MODEL.with_(endings=(1 / 21, 0.0, 1 / 35))
+    assert seen.lasting(0) == pytest.approx(21) and seen.lasting(1) == math.inf and seen.lasting(2) == pytest.approx(35)
+    lines = seen.describe().splitlines()
+    assert "lasts 21 s, " in lines[0] and "never ends" in lines[1] and "lasts 35 s, " in lines[2]
+    np.testing.assert_array_equal(seen.mode_generator(), MODEL.mode_generator())
+    assert seen.with_(noise_sd=(1.0, 1.0)).endings == seen.endings
+    assert seen.with_(generator=MODEL.generator).endings == ()  # of another chain nothing was seen
+    with pytest.raises(ValueError, match="endings must be finite with shape"):
+        MODEL.with_(endings=(1.0,))
+
+
+def test_names_and_descriptions_agree_on_straight():
+    def called(birth, **law):
+        model = named(IntentModel(2, (Intent("x", (Phase(Law(2, **law), (birth,)),)),)))
+        return model.intents[0].name, describe_phase(model.intents[0].phases[0])
+
+    for growth in (0.0, 0.003, 0.0055, 0.0069, 0.0071, 0.02):
+        for turn in (0.0, 0.4, 0.6, 0.9, 1.1, 3.0):
+            name, words = called(Birth(growth_sd=growth, turn_sd=math.radians(turn)))
+            assert (name == "straight") == (words == "straight") == (growth < 0.007 and turn < 1), (growth, turn)
+
+
+def test_numbers_beyond_physics_are_refused():
+    with pytest.raises(ValueError, match="Law: turn_rate must be at most 1e"):
+        Law(2, turn_rate=1e300)
+    with pytest.raises(ValueError, match="Birth: turn_mean must be at most 1e"):
+        Birth(turn_mean=-1e200)
+    largest = Phase(Law(2, turn_rate=1e30, turn_noise=1e30), (Birth(turn_mean=1e30, turn_sd=1e30),))
+    assert "straight" in IntentModel(2, (Intent("a", largest),)).describe()  # forgets its turn at once
+
+
+def test_rollout_refuses_what_is_not_finite():
+    for kin, own, times in (
+        ([0, 0, math.nan, 1], None, [1.0]),
+        ([0, 0, 1, 1], [0.0, math.inf], [1.0]),
+        ([0, 0, 1, 1], None, [0.0, math.nan]),
+    ):
+        with pytest.raises(ValueError, match="must be finite"):
+            MODEL.rollout(0, kin, own, times)

@@ -14,8 +14,9 @@ pytest.importorskip("torch")
 from jink.estimators.api import BankEstimator
 from jink.estimators.sensors import position
 from jink.estimators.tracks import Tracks
+from jink.intent.endings import count_endings
 from jink.intent.learner import IntentLearner
-from jink.intent.selection import RESOLVABLE, choose, curve_of
+from jink.intent.selection import RESOLVABLE, choose, curve_of, gain_over_one
 
 SIGMA = 5.0
 QUICK = {"most": 3, "single": 6, "first": 10, "rounds": 0, "fewer": 5, "last": 6}
@@ -206,3 +207,60 @@ def test_choice_takes_the_fewest_within_one_standard_error() -> None:
     curve = curve_of(scores, rows, 0)
     assert [point.intents for point in curve] == [1, 2, 3, 4]
     assert curve[1].high < max(point.held_out for point in curve) and curve[2].low < curve[2].held_out < curve[2].high
+
+
+def test_durations_are_those_of_the_tracks(tracks: Tracks, learner: IntentLearner) -> None:
+    """Spells of 8 to 12 s; the first and the last of every track are cut."""
+    model = learner.model_
+    seconds, ended = count_endings(model, tracks)
+    assert seconds.sum() == pytest.approx(16 * 39.0)
+    np.testing.assert_allclose(model.endings, ended / seconds)
+    rates = (
+        np.abs(np.diff(np.unwrap(np.arctan2(*np.moveaxis(np.diff(tracks.truth, axis=1), 2, 0)[::-1])), axis=1)) > 0.07
+    )
+    switches = int((rates[:, 1:] != rates[:, :-1]).sum())
+    assert ended.sum() == pytest.approx(switches, rel=0.2)
+    assert all(7.5 < model.lasting(number) < 14.0 for number in range(2)) and "by its chain" not in model.describe()
+
+
+def test_the_noise_given_to_a_learner_is_that_of_its_bank(tracks: Tracks, learner: IntentLearner) -> None:
+    bare = Tracks.from_arrays(tracks.measurements, tracks.times)
+    given = IntentLearner(seed=3, noise_sd=SIGMA, **QUICK)
+    given.model_ = learner.model_
+    np.testing.assert_array_equal(given.segment(bare).probs, learner.segment(tracks).probs)
+    assert given.bank().sensor == position(2, SIGMA)
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        *(({"seed": value}, "seed") for value in (-1, "a", 1.5, True)),
+        *(({"seconds": value}, "seconds") for value in ("x", True, 0, math.nan)),
+        *(({"noise_sd": value}, "noise_sd") for value in (True, [1, 2], 0.0, "x", math.inf)),
+        *(({"device": value}, "device") for value in ("xyz", None, "tpu", "cuda:x")),
+        *(({"intents": value}, "intents") for value in (True, 0, 8, 2.0)),
+        *(({"threads": value}, "threads") for value in (0, -3, True, "2")),
+        *(({name: value}, name) for name, value in [("rounds", "3"), ("most", 0), ("first", -5), ("rivals", 0)]),
+        ({"axes": True}, "axes"),
+        ({"laps": 3}, "work"),
+    ],
+)
+def test_options_out_of_range_are_refused(options: dict[str, object], word: str) -> None:
+    with pytest.raises(ValueError, match=f"IntentLearner: {word} must .*; got ") as caught:
+        IntentLearner(**options)
+    assert str(caught.value).endswith(".")
+
+
+def test_what_several_bring_over_one_has_an_interval() -> None:
+    """Of paired differences: the same numbers whichever of both is the best."""
+    rng = np.random.default_rng(2)
+    rows = np.full(40, 50.0)
+    one = rng.normal(-400.0, 50.0, 40)
+    for shift in (0.3, -0.3):
+        two = one + shift + rng.normal(0.0, 2.0, 40)
+        gain, low, high = gain_over_one(curve_of({1: one, 2: two, 3: two - 20.0}, rows, 0))
+        error = np.std(two - one) / math.sqrt(40) / 50.0
+        assert gain == pytest.approx((two - one).mean() / 50.0)
+        assert low == pytest.approx(gain - 1.96 * error, abs=0.4 * error)
+        assert high == pytest.approx(gain + 1.96 * error, abs=0.4 * error)
+    assert gain_over_one(curve_of({1: one}, rows, 0)) is None

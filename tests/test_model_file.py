@@ -318,7 +318,7 @@ def deep(levels):
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
-        (lambda d: d.update(version=2), ("version 1", "2", "Use the Jink that wrote it")),
+        (lambda d: d.update(version=3), ("version 1 or 2", "3", "Use the Jink that wrote it")),
         (lambda d: d.update(version=True), ("version 1",)),
         (lambda d: d.update(version=1.0), ("version 1",)),
         (lambda d: d.update(format="other"), ("format 'jink intents'",)),
@@ -435,11 +435,32 @@ def test_models_of_different_files_are_not_mixed(folder, tmp_path):
     refused(folder, "SHA-256")
 
 
+def test_files_of_version_1_still_load(folder):
+    """They have no endings, and no word on whether they have."""
+    document = json.loads((folder / MODEL_FILE).read_text())
+    document["version"] = 1
+    del document["known_endings"]
+    (folder / MODEL_FILE).write_text(json.dumps(document))
+    assert load_model(folder) == plane() and load_model(folder).endings == ()
+    change(folder, known_endings=False)
+    refused(folder, "unknown 'known_endings'")
+
+
+def test_endings_are_kept(tmp_path):
+    model = plane().with_(endings=(1 / 3, 0.0, 0.07))
+    folder = save_model(model, tmp_path / "m")
+    assert load_model(folder) == model != plane()
+    put_tensor(folder, "endings", np.array([0.1, -0.1, 0.2]))
+    refused(folder, "endings must be >= 0")
+    change(folder, known_endings=1)
+    refused(folder, "known_endings true or false")
+
+
 def test_version_and_columns_go_together():
     """A column more or fewer is another format: then VERSION moves too."""
-    assert (model_file.VERSION, len(model_file.LAW), len(model_file.BIRTH)) == (1, 10, 6)
+    assert (model_file.VERSION, len(model_file.LAW), len(model_file.BIRTH)) == (2, 10, 6)
     assert list(vars(Birth())) == list(model_file.BIRTH)
     assert list(vars(Law()))[1:8] == list(model_file.LAW[:7]) and list(vars(Law()))[8:] == ["swing"]
     assert list(vars(Phase(Law()))) == ["law", "births", "mirrored", "duration"]
-    fields = ["axes", "intents", "generator", "initial", "noise_sd", "speed", "about"]
+    fields = ["axes", "intents", "generator", "initial", "noise_sd", "speed", "about", "endings"]
     assert list(IntentModel.__dataclass_fields__) == fields and list(Intent.__dataclass_fields__)[2:] == ["renewal"]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from jink.intent.model import IntentModel
 from jink.training.plotting import MODE_COLOURS
 
-__all__ = ["STYLE", "colour_of", "lasting", "leaving_rates", "save_figure", "spell"]
+__all__ = ["STYLE", "colour_of", "leaving_rates", "save_figure", "spell"]
 
 Floats = NDArray[np.float64]
 DPI = 150
@@ -32,11 +32,6 @@ def colour_of(number: int) -> str:
 def leaving_rates(model: IntentModel) -> Floats:
     """Rate at which each intent ends, in favour of another or of itself anew; (P,); 1/s."""
     return -np.diag(np.array(model.generator)) + np.array([intent.renewal for intent in model.intents])
-
-
-def lasting(model: IntentModel, number: int) -> float:
-    """Mean duration of an intent with all its phases; s."""
-    return sum(phase.duration for phase in model.intents[number].phases[:-1]) + 1.0 / leaving_rates(model)[number]
 
 
 def spell(seconds: float) -> str:

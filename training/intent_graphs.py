@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from jink.intent.model import IntentModel
 from jink.intent.progress import Progress
-from jink.training.intent_drawing import STYLE, colour_of, lasting, leaving_rates, save_figure, spell
+from jink.training.intent_drawing import STYLE, colour_of, save_figure
 from jink.training.plotting import MODE_COLOURS
 
 __all__ = ["CurvePoint", "draw_graph", "plot_curve", "plot_graph"]
@@ -68,10 +68,10 @@ def plot_curve(path: Path, trace: Sequence[Progress], curve: Sequence[CurvePoint
 
 def draw_graph(axis: Any, model: IntentModel) -> None:
     """Nodes by their share of the time; an arrow is as wide as it is probable."""
-    shares, rates = model.intent_probs(model.mode_shares()), leaving_rates(model)
+    shares = model.intent_probs(model.mode_shares())
     graph = nx.DiGraph()
     for number, intent in enumerate(model.intents):
-        lasts = spell(lasting(model, number)) if rates[number] > 0 else "for ever"
+        lasts = model.spell_lasting(number)
         graph.add_node(number, label=f"{intent.name}\n{100 * shares[number]:.0f} %, {lasts}")
     for i, row in enumerate(model.generator):
         for j, rate in enumerate(row):

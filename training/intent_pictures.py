@@ -21,7 +21,7 @@ from jink.intent.describing import describe_phase
 from jink.intent.features import encode
 from jink.intent.model import IntentModel
 from jink.intent.window import choose_window
-from jink.training.intent_drawing import STYLE, colour_of, lasting, leaving_rates, save_figure, spell
+from jink.training.intent_drawing import STYLE, colour_of, leaving_rates, save_figure
 from jink.training.intent_graphs import draw_graph
 
 __all__ = ["draw_model", "plot_clusters", "plot_rollouts", "sample_rollouts", "typical_speed"]
@@ -137,13 +137,13 @@ def _draw_rollouts(figure: Any, model: IntentModel, rows: int, columns: int, see
     rng = np.random.default_rng(seed)
     speed = typical_speed(model)
     kind = {"projection": "3d"} if model.axes == 3 else {}
-    rates, shares = leaving_rates(model), model.intent_probs(model.mode_shares())
+    shares = model.intent_probs(model.mode_shares())
     for number, intent in enumerate(model.intents):
         axis = figure.add_subplot(rows, columns, number + 1, **kind)
         for place in _within_reach(sample_rollouts(model, number, rng)):
             axis.plot(*place.T, "-", color=colour_of(number), lw=0.9, alpha=0.55, marker="o", ms=2, markevery=_MARKS)
         axis.plot(*np.zeros((model.axes, 1)), "o", color="black", ms=3)
-        lasts = f"lasts {spell(lasting(model, number))}" if rates[number] > 0 else "never ends"
+        lasts = model.spell_lasting(number)
         axis.set_title(f"{intent.name}\n{100 * shares[number]:.0f} % of the time, {lasts}", fontsize=8)
         if model.axes == 2:
             axis.set_aspect("equal", adjustable="datalim")
@@ -204,8 +204,8 @@ def _draw_births(axis: Any, model: IntentModel, number: int) -> None:
 
 def _window(model: IntentModel, tracks: Tracks, sigma: float | None) -> float:
     """The encoder's window, but no longer than intents last on average."""
-    chosen, rates = choose_window(tracks, sigma), leaving_rates(model)
-    last = [lasting(model, number) for number in range(len(model.intents)) if rates[number] > 0]
+    chosen = choose_window(tracks, sigma)
+    last = [model.lasting(number) for number in range(len(model.intents))]
     steps = np.diff(tracks.times, axis=1)[tracks.used[:, 1:]]
     shortest = _ROWS * float(np.median(steps[steps > 0]))
     return max(min([chosen, *last]), min(chosen, shortest))

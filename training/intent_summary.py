@@ -14,7 +14,7 @@ from rich.markup import escape
 from jink.estimators.tracks import Tracks
 from jink.intent.describing import describe_phase
 from jink.intent.model import IntentModel
-from jink.training.intent_drawing import lasting, leaving_rates
+from jink.intent.selection import RESOLVABLE, gain_over_one
 from jink.training.intent_graphs import CurvePoint
 from jink.training.summary import number, plain_table
 from jink.training.wording import counted
@@ -38,7 +38,7 @@ def print_trained(console: Console, report: Any) -> None:
     print_model(console, report.model)
     _print_curve(console, report.curve, len(report.model.intents))
     if not report.resolvable:
-        console.print(unresolved(), style="yellow")
+        console.print(unresolved(report.curve), style="yellow")
     console.print(f"wrote {report.out}: the model, README.md and pictures", markup=False)
 
 
@@ -56,8 +56,7 @@ def print_model(console: Console, model: IntentModel) -> None:
             shares = [
                 "-" if i == j or out <= 0 else f"{100 * rate / out:.0f} %" for j, rate in enumerate(model.generator[i])
             ]
-            before = sum(phase.duration for phase in intent.phases[:-1])
-            table.add_row(escape(intent.name), *shares, f"{before + 1 / out:.3g} s" if out > 0 else "never")
+            table.add_row(escape(intent.name), *shares, model.spell_lasting(i).removeprefix("lasts "))
         console.print(table)
 
 
@@ -78,11 +77,15 @@ def _span(point: CurvePoint, best: float) -> str:
     return "best" if point.nats == best else f"{point.low - best:+.4f} to {point.high - best:+.4f}"
 
 
-def unresolved() -> str:
-    """What to say when one intent is all that the tracks show."""
+def unresolved(curve: Sequence[CurvePoint]) -> str:
+    """What to say when one intent is all that the tracks show, or all that was asked for."""
+    gain = gain_over_one(curve)
+    if gain is None:
+        return "whether several intents can be told apart here is not known: only one was tried"
+    said = f"{gain[0]:+.4f} nat per row (95 %: {gain[1]:+.4f} to {gain[2]:+.4f})"
     return (
-        "several intents are not resolvable here: they predict tracks that were not fitted less than 0.01 nat per row "
-        "better than one does, so one was kept"
+        f"several intents are not resolvable here: on held-out pieces of the tracks the best of them brings {said} "
+        f"over one, and less than {RESOLVABLE:g} is not enough, so one was kept"
     )
 
 
@@ -106,7 +109,7 @@ def write_readme(
         "",
     ]
     if not resolvable:
-        lines += [f"Note: {unresolved()}.", ""]
+        lines += [f"Note: {unresolved(curve)}.", ""]
     if model.noise_sd is not None:
         lines += [f"Measurement noise that was learned: {', '.join(f'{v:.3g}' for v in model.noise_sd)} m.", ""]
     lines += _intent_table(model)
@@ -137,11 +140,11 @@ def write_readme(
 
 
 def _intent_table(model: IntentModel) -> list[str]:
-    shares, rates = model.intent_probs(model.mode_shares()), leaving_rates(model)
-    lines = ["| intent | what it does | lasts, s | share | wobble, m/s^2 per root Hz |", "|---|---|---|---|---|"]
+    shares = model.intent_probs(model.mode_shares())
+    lines = ["| intent | what it does | how long | share | wobble, m/s^2 per root Hz |", "|---|---|---|---|---|"]
     for i, intent in enumerate(model.intents):
         does = ", then ".join(describe_phase(phase) for phase in intent.phases)
-        lasts = number(lasting(model, i), 3) if rates[i] > 0 else "never ends"
+        lasts = model.spell_lasting(i)
         wobble = number(float(np.sqrt(intent.phases[-1].law.wobble)), 3)
         name = intent.name.replace("|", "/")
         lines.append(f"| {name} | {does} | {lasts} | {100 * shares[i]:.0f} % | {wobble} |")
