@@ -349,7 +349,7 @@ def test_a_template_lasts_as_long_as_its_phases(tmp_path, capsys):
     alone = 1.0 / -made.generator[0][0]
     assert run("show", tmp_path / "m") == 0
     text = capsys.readouterr().out
-    assert re.search(rf"straight +- +100 % +{7 + alone:.3g} s", text) and f"lasts {7 + alone:.2g} s" in text
+    assert re.search(rf"straight +- +100 % +{7 + alone:.2g} s by its", text) and f"lasts {7 + alone:.2g} s" in text
 
 
 @pytest.mark.parametrize("axes", [2, 3])
