@@ -1,5 +1,6 @@
 """Numbers with intervals: the bootstrap, the rows that carry it, and the pages made from committed rows."""
 
+import importlib
 import importlib.util
 import math
 import re
@@ -287,3 +288,13 @@ def test_a_page_without_its_marker_is_refused(pages):
     )
     with pytest.raises(SystemExit, match="marker 'b' once"):
         pages.replace_block("<!-- a:start -->\n<!-- a:end -->", "b", "")
+
+
+@pytest.mark.parametrize("world", ["three", "five"])
+def test_tables_of_the_learner_are_its_rows(world, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    learn = importlib.import_module("learn_intents")
+    learn.show(ROWS / f"learn_{world}.jsonl")
+    page = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    block = re.search(rf"<!-- learn-{world}:start -->\n(.*?)<!-- learn-{world}:end -->", page, flags=re.S)
+    assert [line for line in block[1].splitlines() if line] == capsys.readouterr().out.splitlines()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 
+from jink.estimators.sensor import Sensor
 from jink.estimators.tracks import Tracks
 from jink.intent.model import IntentModel
 from jink.intent.segmentation import Segmentation, segment
@@ -49,6 +50,8 @@ class SegmentReport(NamedTuple):
     model: IntentModel
     found: Segmentation
     wrote: tuple[Path, ...]
+    noise: str
+    """Standard deviation of a measured position that was used, and where it comes from."""
 
 
 def segment_file(request: SegmentRequest) -> SegmentReport:
@@ -71,10 +74,17 @@ def segment_file(request: SegmentRequest) -> SegmentReport:
     tracks = as_positions(read(request.reading), request.reading.sigma)
     model = find_model(request.model, axes=tracks.axes)
     if request.shown is not None and request.shown not in tracks.ids:
+        more = f" and {len(tracks) - 10} more" if len(tracks) > 10 else ""
         raise ValueError(
-            f"--show: value must name a track; got '{request.shown}'. There are {', '.join(tracks.ids[:10])}."
+            f"--show: value must name a track; got '{request.shown}'. There are {', '.join(tracks.ids[:10])}{more}."
+        )
+    if not np.isfinite(tracks.measurements).all(axis=2).any():
+        raise ValueError(
+            f"FILE: rows must hold measurements; got none that can be used in {tracks.source}. "
+            "Check the columns with --columns."
         )
     sensor, own_noise = sensor_for(model, tracks)
+    noise = "of the rows" if own_noise else _noise_words(sensor, model)
     if own_noise:
         model = model.with_(noise_sd=None)  # what the file says of its own rows comes before what was learned
     with say_when_compiling(), progress(f"labels: {tracks.source}"):
@@ -84,7 +94,12 @@ def segment_file(request: SegmentRequest) -> SegmentReport:
         if request.plot is not None:
             _plot(request.plot, model, tracks, found, request.shown)
     wrote = tuple(path for path in (request.out, request.plot) if path is not None)
-    return SegmentReport(tracks, model, found, wrote)
+    return SegmentReport(tracks, model, found, wrote, noise)
+
+
+def _noise_words(sensor: Sensor, model: IntentModel) -> str:
+    sizes = ", ".join(f"{sigma:.3g}" for sigma in np.sqrt(np.diagonal(sensor.noise)))
+    return f"{sizes} m, {'learned with the model' if model.noise_sd is not None else 'estimated from the tracks'}"
 
 
 def write_labels(path: Path, tracks: Tracks, found: Segmentation) -> None:
@@ -122,7 +137,8 @@ def print_segmented(console: Console, report: SegmentReport) -> None:
     tracks, found = report.tracks, report.found
     rows = int(tracks.lengths.sum())
     console.print(
-        f"[bold]{escape(tracks.source)}[/bold]: {counted(len(tracks), 'track')}, {rows} rows in {tracks.axes} axes"
+        f"[bold]{escape(tracks.source)}[/bold]: {counted(len(tracks), 'track')}, {rows} rows in {tracks.axes} axes; "
+        f"noise {report.noise}"
     )
     runs = [run for b in range(len(tracks)) for run in found.runs(b)]
     table = plain_table("intent", "share of rows", "stretches", "median duration, s")

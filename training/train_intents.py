@@ -30,7 +30,7 @@ from jink.training.models import sensor_for
 from jink.training.pooling import digest_of, gather
 from jink.training.running import run_tracks
 from jink.training.track import TrackRequest
-from jink.training.training_folder import WORK, finish, finished_model, prepare
+from jink.training.training_folder import WORK, abandon, finish, finished_model, prepare
 from jink.training.training_log import TrainingLog
 from jink.training.wording import in_own_words
 
@@ -126,11 +126,16 @@ def train_intents(request: TrainRequest) -> TrainReport:
             return TrainReport(done, tracks, curve, resolvable, out, False, True)
         resumed = prepare(out, key, PICTURES, request.fresh)
         work = out / WORK
-        with TrainingLog(work / "progress.jsonl", out / "tensorboard") as log:
-            learner = _make_learner(request, tracks, work / "learner", log)
-            with in_own_words("SOURCES"):
-                learner.fit(tracks)
-            trace = log.trace()
+        try:
+            with TrainingLog(work / "progress.jsonl", out / "tensorboard") as log:
+                learner = _make_learner(request, tracks, work / "learner", log)
+                with in_own_words("SOURCES"):
+                    learner.fit(tracks)
+                trace = log.trace()
+        except ValueError:
+            if not resumed:  # what was refused must not stand in the way of the corrected command
+                abandon(out)
+            raise
         model, curve = _with_provenance(learner, request, tracks, key), _curve(learner)
         save_model(model, out)
         _draw(out, model, tracks, trace, curve)
@@ -142,10 +147,17 @@ def train_intents(request: TrainRequest) -> TrainReport:
 
 def _check_motion(tracks: Tracks) -> None:
     """Refuse positions that never change: any law explains them, without noise, infinitely well."""
+    most = 0
     for track in tracks:
         seen = track.measurements[np.isfinite(track.measurements).all(axis=1)]
+        most = max(most, len(seen))
         if not len(seen) or (seen != seen[0]).any():
             return
+    if most < 2:
+        raise ValueError(
+            f"SOURCES: tracks must have two measured rows at least; got one in each of {tracks.source}. "
+            "Check the track column with --columns."
+        )
     raise ValueError(
         f"SOURCES: positions must change within a track; got the same one in every row of {tracks.source}. "
         "Check the columns with --columns."

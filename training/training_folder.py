@@ -12,7 +12,7 @@ from typing import Any
 from jink.intent.model import IntentModel
 from jink.intent.model_file import MODEL_FILE, load_model
 
-__all__ = ["WORK", "finish", "finished_model", "prepare"]
+__all__ = ["WORK", "abandon", "finish", "finished_model", "prepare"]
 
 WORK, DONE = "checkpoint", "training.json"
 
@@ -82,6 +82,13 @@ def _read(path: Path) -> dict[str, Any]:
     except ValueError:
         found = {}
     return found if isinstance(found, dict) else {}
+
+
+def abandon(out: Path) -> None:
+    """Forget a training that was refused before it could begin, and its folder where nothing else is in it."""
+    shutil.rmtree(out / WORK, ignore_errors=True)
+    if out.is_dir() and not any(out.iterdir()):
+        out.rmdir()
 
 
 def finish(out: Path, key: str) -> None:
