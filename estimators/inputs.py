@@ -121,18 +121,18 @@ def check_inputs(
     )
 
 
-def check_moments(mean: Floats, cov: Floats) -> None:
+def check_moments(mean: Floats, cov: Floats, caller: str = "Prior") -> None:
     """Refuse a prior that is no Gaussian: mean (..., n), cov (..., n, n); zero variances are allowed.
 
     Raises:
         ValueError: not finite, not symmetric, or not positive semidefinite.
     """
     if not (np.abs(mean) < ABSURD).all():
-        raise ValueError(f"Prior: mean must be finite (below {ABSURD:g}); got {mean.ravel()[:6]}. Give m and m/s.")
+        raise ValueError(f"{caller}: mean must be finite (below {ABSURD:g}); got {mean.ravel()[:6]}. Give m and m/s.")
     variances = np.diagonal(cov, axis1=-2, axis2=-1)
     if not (np.abs(cov) < ABSURD).all() or (variances < 0).any():
         raise ValueError(
-            f"Prior: cov must be finite (below {ABSURD:g}) with variances >= 0; got {variances.ravel()[:6]} on its "
+            f"{caller}: cov must be finite (below {ABSURD:g}) with variances >= 0; got {variances.ravel()[:6]} on its "
             "diagonal. Use a large variance for what is unknown."
         )
     scale = np.sqrt(np.where(variances > 0, variances, 1.0))
@@ -141,8 +141,8 @@ def check_moments(mean: Floats, cov: Floats) -> None:
     lowest = np.linalg.eigvalsh(scaled).min(initial=0.0)
     if worst > _ROUNDING or lowest < -_ROUNDING:
         raise ValueError(
-            f"Prior: cov must be symmetric and positive semidefinite; got asymmetry {worst:.3g} and an eigenvalue of "
-            f"{lowest:.3g} (of its correlations). Check signs and units."
+            f"{caller}: cov must be symmetric and positive semidefinite; got asymmetry {worst:.3g} and an eigenvalue "
+            f"of {lowest:.3g} (of its correlations). Check signs and units."
         )
 
 

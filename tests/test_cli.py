@@ -112,7 +112,7 @@ def test_polar_measurements_in_degrees(tmp_path, capsys):
     path = tmp_path / "polar.csv"
     frame = {"t": times, "range": reach, "bearing": bearing, "true_x": truth[:, 0], "true_y": truth[:, 1]}
     pd.DataFrame(frame).to_csv(path, index=False)
-    given = ("--sigma", "sigma_range=10,sigma_bearing=0.005", "--acceleration", 0.1, "--degrees")
+    given = ("--sigma", "sigma_range=10,sigma_bearing=0.3", "--acceleration", 0.1, "--degrees")
     assert run("track", path, "-e", "kf-cv", *given) == 0
     measured, estimated = map(
         float, re.search(r"root mean square +([\d.]+) +([\d.]+)", capsys.readouterr().out).groups()
@@ -320,7 +320,11 @@ def test_sigma_forms():
     assert parse_sigma("15,3", plane) == (15.0, 3.0)
     for text in ("1,.01", "sigma_range=1,sigma_bearing=.01", "bearing=0.01, range=1"):
         assert parse_sigma(text, polar) == (1.0, 0.01)
-    for text in ("1", "range=1", "range=1,bearing=2,x=3", "nan,1", "a,b"):
+    assert parse_sigma("1,.5", polar, degrees=True) == (1.0, np.deg2rad(0.5))
+    assert parse_sigma("15", plane, degrees=True) == (15.0, 15.0)
+    with pytest.raises(ValueError, match="sigma_bearing in deg"):
+        parse_sigma("1", polar, degrees=True)
+    for text in ("1e300,1", "1,1e-300", "1", "range=1", "range=1,bearing=2,x=3", "nan,1", "a,b"):
         with pytest.raises(ValueError, match=r"^--sigma: value must"):
             parse_sigma(text, polar)
     with pytest.raises(ValueError, match="twice"):

@@ -250,5 +250,5 @@ def test_refusals():
         Gnn("constant-velocity")
     with pytest.raises(ValueError, match="chain must have one state per motion"):
         Gnn(MOTION, MarkovChain.per_step([[0.9, 0.1], [0.2, 0.8]]))
-    with pytest.raises(ValueError, match="gate > 0"):
+    with pytest.raises(ValueError, match="gate must be a number > 0"):
         Jpda(MOTION, gate=-1.0)

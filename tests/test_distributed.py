@@ -384,12 +384,12 @@ def step_back():
     [
         (lambda: tracker_of(order="V3"), "order must be one of V1, V2; got 'V3'"),
         (lambda: tracker_of(exchanged=9), "exchanged must be an integer from 1 to 5; got 9"),
-        (lambda: tracker_of(window=0), "window must be an integer from 1"),
-        (lambda: tracker_of(iterations=True), "iterations must be an integer from 1"),
+        (lambda: tracker_of(window=0), "window must be an integer >= 1"),
+        (lambda: tracker_of(iterations=True), "iterations must be an integer >= 1"),
         (lambda: tracker_of(node_of=(18,)), r"node_of must name nodes 0\.\.17"),
-        (lambda: tracker_of(gate=0.0), "gate must be > 0"),
+        (lambda: tracker_of(gate=0.0), "gate must be a number > 0"),
         (lambda: tracker_of().start(linear_scans(0)[0].sensors, linear_scans(0)[1]), "sensors must be one per entry"),
-        (step_back, r"scans must be of one time, no older than 1\.5 s"),
+        (step_back, r"scan must be of 1\.5 s or later"),
     ],
 )
 def test_refusals(make, words):

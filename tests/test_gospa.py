@@ -111,8 +111,8 @@ def test_distances_are_metrics():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((np.zeros((2, 2)), np.zeros((2, 2)), 0.0), "cutoff must be finite and > 0"),
-        ((np.zeros((2, 2)), np.zeros((2, 2)), 1.0, 0.5), "order finite and >= 1"),
+        ((np.zeros((2, 2)), np.zeros((2, 2)), 0.0), "cutoff must be a number > 0 and finite"),
+        ((np.zeros((2, 2)), np.zeros((2, 2)), 1.0, 0.5), "order must be a number >= 1"),
         ((np.zeros(2), np.zeros((2, 2)), 1.0), r"estimate must have shape \(K, T, A\)"),
         ((np.zeros((2, 3)), np.zeros((2, 2)), 1.0), "must have the same times and axes"),
     ],
@@ -179,7 +179,7 @@ def test_identities_pair_as_many_as_possible():
 
 
 def test_identities_refuse():
-    with pytest.raises(ValueError, match="gate must be finite and > 0"):
+    with pytest.raises(ValueError, match="gate must be a number > 0"):
         metrics.identities(np.zeros((1, 2, 2)), np.zeros((1, 2, 2)), -1.0)
     with pytest.raises(ValueError, match="same times and axes"):
         metrics.identities(np.zeros((1, 3, 2)), np.zeros((1, 2, 2)), 1.0)

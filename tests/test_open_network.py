@@ -149,7 +149,7 @@ def test_match_is_one_to_one_older_first_then_nearest():
 
 @pytest.mark.parametrize("name", ["near", "patience"])
 def test_refusals(name):
-    with pytest.raises(ValueError, match=f"OpenNetwork: {name} must be > 0; got 0"):
+    with pytest.raises(ValueError, match=f"OpenNetwork: {name} must be a number > 0.*; got 0"):
         OpenNetwork(make_network().tracker, **{name: 0})
 
 

@@ -562,7 +562,7 @@ def test_scans_of_a_table_are_those_of_the_scene():
         (lambda: Pmht(PLANE, annealing=(2.0, 4.0)), "annealing"),
         (lambda: Pmht([PLANE, make_motion("constant-acceleration")]), "same state"),
         (lambda: KnownTracks([[0.0, 1, 2]], np.eye(3), 0.0), "shape"),
-        (lambda: Initiation(hits=6, scans=5), "hits <= scans"),
+        (lambda: Initiation(hits=6, scans=5), "hits must be an integer from 1 to 5; got 6"),
     ],
 )
 def test_refusals(build, sentence):

@@ -3,7 +3,9 @@
 import importlib.util
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -14,7 +16,8 @@ from hypothesis import strategies as st
 from jink.envs.reading import graph_file
 from jink.envs.reading.graph_file import read_graph
 from jink.estimators.multitarget.pmht import Pmht
-from jink.training import many_suite
+from jink.training import many_estimators, many_film, many_network, many_plot, many_rows, many_suite
+from jink.training import track_many as track_many_module
 from jink.training.cli import main
 from jink.training.many_estimators import MANY
 from jink.training.track import TrackRequest, track
@@ -163,7 +166,10 @@ def test_a_sensor_that_locates_nothing_says_so(tmp_path, capsys):
         (("-e", "pmht", "--sigma", 5, "--forecast", 3), "--forecast: option must be left out of pmht"),
         (("-e", "pmht", "--sigma", 5, "--show", "x"), "--show: option must be left out of pmht"),
         (("-e", "pmht", "--sigma", 5, "--sojourn", 3), "--sojourn: option must be left out"),
-        (("-e", "pmht", "--sigma", 5, "--detection", 1.5), "--detection: value must be above 0 and at most 1; got 1.5"),
+        (
+            ("-e", "pmht", "--sigma", 5, "--detection", 1.5),
+            "--detection: value must be above 0 and at most 0.999, or every miss would end a track; got 1.5",
+        ),
         (("-e", "pmht", "--sigma", 5, "--clutter", -1), "--clutter: value must be from 0"),
         (("-e", "pmht", "--sigma", 5, "--clutter", "nan"), "--clutter: value must be from 0"),
         (("-e", "pmht", "--sigma", 5, "--window", 0), "--window: value must be from 1 to 1000"),
@@ -173,7 +179,19 @@ def test_a_sensor_that_locates_nothing_says_so(tmp_path, capsys):
         (("-e", "distributed-pmht", "--sigma", 5), "--network: file must be given"),
         (("-e", "distributed-pmht", "--sigma", 5, "--network", "no.json"), "path must name an existing file"),
         (("-e", "pmht", "--sigma", 5, "--film", "f.avi"), r"--film: file must end in \.mp4 or \.gif or \.png"),
-        (("-e", "pmht", "--sigma", 5, "--truth", "no.csv"), "--truth: value must name an existing file|existing file"),
+        (("-e", "pmht", "--sigma", 5, "--truth", "no.csv"), "--truth: value must name an existing file; got no.csv"),
+        (("-e", "pmht", "--sigma", 5, "--model", "/none"), "--model: option must be left out of pmht"),
+        (("-e", "gnn", "--sigma", 5, "--policy", "zzz"), "--policy: option must be left out of gnn"),
+        (("-e", "jpda", "--sigma", 5, "--surge-every", -4), "--surge-every: option must be left out of jpda"),
+        (("-e", "jpda", "--sigma", 5, "--surge-for", 4), "--surge-for: option must be left out of jpda"),
+        (("-e", "pmht", "--sigma", 5, "--detection", 1), "--detection: value must be above 0 and at most 0.999"),
+        (
+            ("-e", "pmht", "--sigma", "1e300"),
+            "--sigma: value must be from 1e-12 to 1e12|--sigma: value must be from 1e-12",
+        ),
+        (("-e", "pmht", "--sigma", "1e-300"), "--sigma: value must be from 1e-12"),
+        (("-e", "pmht", "--sigma", 5, "--cutoff", 9), "--cutoff: value must come with --truth"),
+        (("-e", "imm", "--sigma", 5, "--cutoff", 9), "--cutoff: option must be left out of imm"),
     ],
 )
 def test_refusals(scans, capsys, arguments, sentence):
@@ -210,9 +228,15 @@ def test_bad_files(tmp_path, capsys, text, sentence):
         ({"sensors": {}}, "say in sensors at which node"),
         ({"links": [["a", "b", "relay"]]}, "list links as pairs"),
         ({"links": [["a", "a"]]}, "link different nodes"),
-        ({"links": [["a", "b"]]}, "must link all nodes, over others if need be; got 1 that the first cannot reach"),
+        (
+            {"links": [["a", "b"]]},
+            "must link all nodes, over others if need be; got 1 that the first cannot reach, such as relay",
+        ),
         ({"weights": [[1, 2], [3]]}, "have weights as rows of numbers"),
-        ({"weights": np.full((3, 3), 0.3).tolist()}, "rows that sum to 1"),
+        ({"weights": np.full((3, 3), 0.3).tolist()}, "weights and links that are >= 0 with rows that sum to 1"),
+        ({"weights": [[0.5, 0.5, 0], [0.5, 0.5, 0], [0, 0, 1]]}, "weights and links that are primitive"),
+        ({"rule": 2}, "one of the rules b, N, 1, safe; got 2"),
+        ({"rule": True}, "one of the rules b, N, 1, safe; got True"),
         ({"weights": np.full((3, 3), 1 / 3).tolist()}, "zero between nodes without a link"),
         ({"rounds": -1}, "have whole rounds"),
         ({"rule": "median"}, "one of the rules b, N, 1, safe"),
@@ -249,6 +273,102 @@ def test_a_graph_may_number_its_nodes_and_give_weights(tmp_path):
     assert plan.sensors == {"r": 1}
     np.testing.assert_array_equal(plan.weights, weights)
     assert (plan.consensus().rounds, plan.consensus().rule) == (3, "b")
+
+
+def test_the_rule_may_be_a_number(tmp_path):
+    (tmp_path / "graph.json").write_text(json.dumps(GRAPH | {"rule": 1}))
+    assert read_graph(tmp_path / "graph.json").rule == "1"
+
+
+def test_truth_with_a_time_twice_is_refused_before_anything_runs(scans, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(track_many_module, "choose_many", None)  # calling it would raise
+    truth = pd.read_csv(tmp_path / "truth.csv").drop(columns="track").sort_values("t")
+    truth.to_csv(tmp_path / "truth.csv", index=False)
+    err = refused(capsys, scans, "-e", "gnn", "--sigma", 5, "--truth", tmp_path / "truth.csv")
+    assert re.search(r"--truth: file must give each time once per target; got 0 s twice .* column track", err)
+
+
+def test_a_given_cutoff_is_used_and_said(scans, tmp_path, capsys):
+    truth = ("--truth", tmp_path / "truth.csv")
+    assert run(scans, "-e", "gnn", "--sigma", 5, *truth, "--cutoff", 77) == 0
+    assert "against truth, cut-off 77 m (given)" in " ".join(capsys.readouterr().out.split())
+    assert run(scans, "-e", "gnn", "--sigma", 5, *truth) == 0
+    assert "(ten sd of this run; --cutoff compares runs)" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_network_says_what_it_uses_and_what_nobody_saw(scans, tmp_path, capsys):
+    """Window and dismissal are the network's own; a target that no node sees is missing at all of them."""
+    frame = pd.read_csv(scans)
+    # Nothing of the upper target between 12 and 13.5 s; its tracks live on.
+    hidden = frame["t"].between(12.0, 13.5) & (frame["y"] > 200.0)
+    frame[~hidden].to_csv(scans, index=False)
+    path = tmp_path / "graph.json"
+    path.write_text(json.dumps(GRAPH | {"sensors": {"s0": "a", "s1": "b", "s9": "relay"}}))
+    request = TrackRequest(scans, "distributed-pmht", sigma="5", network=path)
+    report = track_many(request)
+    told = {name: value for name, value, _, _ in report.parameters}
+    assert told["window"] == 5.0
+    assert told["dismissal"] == told["patience"] / 4
+    assert (
+        many_estimators.MANY["distributed-pmht"](
+            many_estimators.ManyScales(2, 1.0, 10.0, window=9, patience=8.0, plan=(read_graph(path), (0, 2)))
+        ).tracker.window
+        == 9
+    )
+    assert any("sensors that have no scan: s9" in note for note in report.notes)
+    table = report.frame
+    assert {"node", "hits"} <= set(table.columns)
+    upper = table[table["y"] > 150.0]
+    gone = upper[upper["t"].between(12.0, 13.5)]
+    assert len(gone) >= 9
+    assert (gone["status"] == "missing").all()
+    assert (upper[upper["t"].between(16.0, 19.0)]["status"] == "ok").mean() > 0.6
+
+
+def test_angles_of_sigma_are_in_the_unit_of_the_file(tmp_path):
+    path = tmp_path / "polar.csv"
+    pd.DataFrame({"t": np.arange(4.0), "range": 100.0, "bearing": 20.0}).to_csv(path, index=False)
+    request = TrackRequest(path, "gnn", sigma="sigma_range=1,sigma_bearing=0.5", degrees=True, speed=5.0)
+    found = {name: value for name, value, _, _ in track_many(request).parameters}
+    assert found["sigma_bearing"] == pytest.approx(np.deg2rad(0.5))
+
+
+def test_degrees_of_positions_are_said_to_be_ignored(scans):
+    notes = track_many(TrackRequest(scans, "gnn", sigma="5", speed=5.0, degrees=True)).notes
+    assert any(note.startswith("--degrees is ignored") for note in notes)
+
+
+def test_a_negative_variance_shows():
+    cov = np.stack([np.eye(4), np.diag([1.0, -1.0, 1.0, 1.0])])
+    ids = np.array([1, 2])
+    one = SimpleNamespace(
+        mean=np.zeros((2, 4)), cov=cov, id=ids, scan=np.zeros(2, dtype=int), time=np.zeros(2), hits=np.ones(2)
+    )
+    scans_ = SimpleNamespace(sensors=[SimpleNamespace(name="s")], sensor=np.zeros(1, dtype=int))
+    frame = many_rows.track_frame(one, scans_)
+    assert list(frame["status"]) == ["starting", "diverged"]
+    assert np.isnan(frame["sd_y"][1])
+
+
+def test_a_network_is_drawn(scans, tmp_path):
+    """With sensors at places of their own, one of which moves; the picture names nodes."""
+    report = track_many(TrackRequest(scans, "distributed-pmht", sigma="5", network=tmp_path / "graph.json", speed=10.0))
+    states = np.zeros((len(report.scans), 4))
+    states[:, 0], states[:, 1] = np.where(report.scans.sensor == 1, 5.0 * report.scans.times, 200.0), -100.0
+    report = report._replace(scans=replace(report.scans, sensor_states=states))
+    places = {place.name: place for place in many_network.sensor_places(report.scans, report.plan)}
+    assert set(places) == {"s0 at a", "s1 at b"}
+    assert places["s1 at b"].moves
+    assert not places["s0 at a"].moves
+    assert many_network.links_of(report.plan).tolist() == [[0, 1], [1, 2]]
+    many_plot.plot_many(tmp_path / "network.svg", report)
+    many_film.film_many(tmp_path / "network.png", report)
+    without = report._replace(plan=None)
+    with_, plain = (next(iter(many_film.frames_of(one))) for one in (report, without))
+    assert (with_ != plain).any()
+    text = (tmp_path / "network.svg").read_text()
+    assert "s1 at b" in text
+    assert "of node a" in text
 
 
 def test_the_output_may_not_be_an_input(scans, tmp_path, capsys):

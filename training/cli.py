@@ -58,7 +58,7 @@ Examples:
 
   jink track log.csv --columns t=time,x=east,y=north --sigma 15 --acceleration 2
 
-  jink track radar.csv --sigma sigma_range=10,sigma_bearing=0.005 --degrees
+  jink track radar.csv --sigma sigma_range=10,sigma_bearing=0.3 --degrees
 
   jink track flight.csv --where fresh=1 --columns z=alt_m --smooth --out flight.csv
 
@@ -110,7 +110,8 @@ def track_command(
     ] = None,
     sort: Annotated[bool, typer.Option("--sort", help="Sort by time.", rich_help_panel=_READING)] = False,
     degrees: Annotated[
-        bool, typer.Option("--degrees", help="Angles are in degrees.", rich_help_panel=_READING)
+        bool,
+        typer.Option("--degrees", help="Angles of the file and of --sigma are in degrees.", rich_help_panel=_READING),
     ] = False,
     compass: Annotated[
         bool, typer.Option("--compass", help="Bearings are clockwise from north.", rich_help_panel=_READING)
@@ -157,10 +158,18 @@ def track_command(
         typer.Option(help="Detections farther away are no candidates; sd, default 5.", rich_help_panel=_MANY_MODEL),
     ] = None,
     window: Annotated[
-        int | None, typer.Option(help="Scans explained together; default 10.", rich_help_panel=_MANY_MODEL)
+        int | None,
+        typer.Option(help="Scans explained together; default 10, in a network 5.", rich_help_panel=_MANY_MODEL),
     ] = None,
     network: Annotated[
         Path | None, typer.Option(help="Nodes, sensors and links: graph.json.", rich_help_panel=_MANY_MODEL)
+    ] = None,
+    cutoff: Annotated[
+        float | None,
+        typer.Option(
+            help="With --truth: distance from which a track is of no target, m; default ten of the run's own sd.",
+            rich_help_panel=_MANY_MODEL,
+        ),
     ] = None,
     smooth: Annotated[
         bool,
@@ -222,6 +231,7 @@ def track_command(
             gate_size=gate_size,
             window=window,
             network=network,
+            cutoff=cutoff,
             film=film,
         )
     )

@@ -53,7 +53,9 @@ Where = Annotated[
 ]
 Axes = Annotated[int | None, typer.Option(help="Space dimensions, 2 or 3.", rich_help_panel=_READING)]
 Sort = Annotated[bool, typer.Option("--sort", help="Sort by time.", rich_help_panel=_READING)]
-Degrees = Annotated[bool, typer.Option("--degrees", help="Angles are in degrees.", rich_help_panel=_READING)]
+Degrees = Annotated[
+    bool, typer.Option("--degrees", help="Angles of the file and of --sigma are in degrees.", rich_help_panel=_READING)
+]
 Compass = Annotated[
     bool, typer.Option("--compass", help="Bearings are clockwise from north.", rich_help_panel=_READING)
 ]

@@ -10,7 +10,7 @@ from jink.envs.reading.graph_file import NetworkPlan
 from jink.estimators.multitarget.scans import Scans
 from jink.estimators.tracks import Tracks
 from jink.training.console import progress
-from jink.training.many_estimators import ManyScales
+from jink.training.many_estimators import NETWORKED, ManyScales
 from jink.training.many_scans import group_rows, guess, patience_of, sensors_of, with_numbers
 from jink.training.options import parse_sigma
 from jink.training.track import Parameter, TrackRequest
@@ -36,7 +36,7 @@ def choose_many(
         ValueError: no standard deviation, or a sensor without a node.
     """
     plain = sensor_of(tracks)
-    sigma = None if request.sigma is None else parse_sigma(request.sigma, plain)
+    sigma = None if request.sigma is None else parse_sigma(request.sigma, plain, request.degrees)
     use_noise = sigma is None and tracks.noise is not None
     if sigma is None and tracks.noise is None:
         wanted = ",".join(f"sigma_{label.replace(' ', '_')}" for label in plain.labels)
@@ -60,9 +60,9 @@ def choose_many(
             )
         node_of = plan, tuple(plan.sensors[name] for name in names)
     scans = group_rows(tracks, sensors_of(tracks, sigma, names), use_noise)
-    patience = patience_of(scans)
+    patience, networked = patience_of(scans), request.estimator in NETWORKED
     scales = ManyScales(
-        tracks.axes, 1.0, 1.0, request.turn_rate, request.sojourn or 10.0, request.window or 10,
+        tracks.axes, 1.0, 1.0, request.turn_rate, request.sojourn or 10.0, request.window or (5 if networked else 10),
         request.gate_size or 5.0, patience, node_of,
     )  # fmt: skip
     if request.turn_rate is not None and tracks.axes != 2:
@@ -76,13 +76,14 @@ def choose_many(
         for label, value, unit in zip(plain.labels, sigma, plain.units, strict=True)
     ]
     for s, name in enumerate(names):
-        of = f" of {name}" if name else ""
+        of = f" of {name or 'the sensor without a name'}" if len(names) > 1 or name else ""
         found.append(Parameter(f"detection{of}", detection[s], "", "tuned" if request.detection is None else "given"))
         found.append(Parameter(f"clutter{of}", clutter[s], "per scan", "tuned" if request.clutter is None else "given"))
     for key, value, unit, origin in (
         ("speed", told.speed, "m/s", "tuned"), ("acceleration", told.acceleration, "m/s^2", "default"),
         ("gate_size", scales.gate, "sd", "default"), ("window", float(scales.window), "scans", "default"),
         ("turn_rate", request.turn_rate, "rad/s", "none"), ("patience", patience, "s", "interval"),
+        ("dismissal", scales.dismissal if networked else None, "s", "interval"),
     ):  # fmt: skip
         given = getattr(request, key, None) is not None
         if value is not None and not (key == "window" and request.estimator in ("gnn", "jpda")):

@@ -35,7 +35,7 @@ class ManyScales:
         sojourn: mean time between changes of a bank's mode, s.
         window: scans that PMHT explains together.
         gate: standard deviations beyond which a detection is no candidate.
-        patience: a track ends after this long without a detection, s.
+        patience: a track ends after this long without a detection, s; in a network a node's own track.
         plan: network and the node of each sensor, in their order.
     """
 
@@ -66,6 +66,11 @@ class ManyScales:
         return bank, MarkovChain.from_sojourns([self.sojourn] * len(bank))
 
     @property
+    def dismissal(self) -> float:
+        """A network dismisses a target after this long without a node's own track near it, s."""
+        return self.patience / 4
+
+    @property
     def initiation(self) -> Initiation:
         """How tracks begin and end."""
         return Initiation(speed=self.speed, patience=self.patience)
@@ -93,9 +98,9 @@ def distributed_pmht(scales: ManyScales) -> OpenNetwork:
     plan, node_of = scales.plan
     motions, chain = scales.motions
     network = DistributedPmht(
-        motions, plan.consensus(), node_of, window=min(scales.window, 5), gate=scales.gate**2, chain=chain
+        motions, plan.consensus(), node_of, window=scales.window, gate=scales.gate**2, chain=chain
     )
-    return OpenNetwork(network, scales.initiation, patience=scales.patience / 4)
+    return OpenNetwork(network, scales.initiation, patience=scales.dismissal)
 
 
 MANY: dict[str, Callable[[ManyScales], ManyTracker]] = {

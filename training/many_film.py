@@ -14,8 +14,10 @@ from jink.envs.drawing.canvas import FAINT, GREY, INK, INTENT_COLOURS, LINE, Can
 from jink.envs.drawing.map_panel import SIGMAS, grid_step, metres
 from jink.envs.drawing.viewing import View
 from jink.estimators.multitarget.open_tracks import OpenTracks
+from jink.training.many_network import links_of, node_ring, sensor_places
 from jink.training.recording import record
 from jink.training.track_many import ManyReport
+from jink.training.wording import counted
 
 __all__ = ["film_many", "frames_of"]
 
@@ -24,6 +26,7 @@ Frame = NDArray[np.uint8]
 SIZE, EDGE, HEAD = (960, 640), 14.0, 46.0
 MOST_FRAMES, FILM_S = 300, 20.0
 _TAIL, _FADING = 40, 4
+MOST_NAMES = 16
 _COLOURS = tuple(INTENT_COLOURS.values())
 
 
@@ -64,10 +67,14 @@ def frames_of(report: ManyReport) -> Iterator[Frame]:
         _draw_detections(canvas, view, report, int(k))
         for row, name in enumerate(ids):
             _draw_track(canvas, view, report, tracks[row, :, :2], int(name), int(k), _COLOURS[row % len(_COLOURS)])
+        _draw_sensors(canvas, view, report)
         canvas.clip(None)
+        if report.plan is not None:
+            _draw_network(canvas, report)
         now = int(np.isfinite(tracks[:, k, 0]).sum()) if len(ids) else 0
-        canvas.text(f"{report.estimator} on {report.source}", (EDGE, HEAD / 2), 16, bold=True, room=0.6 * width)
-        words = f"{report.times[k]:.6g} s, {now} tracks, grid {metres(grid_step(view, 1.0))}"
+        whose = f", tracks of node {report.plan.nodes[0]}" if report.plan is not None else ""
+        canvas.text(f"{report.estimator} on {report.source}{whose}", (EDGE, HEAD / 2), 16, bold=True, room=0.6 * width)
+        words = f"{report.times[k]:.6g} s, {counted(now, 'track')}, grid {metres(grid_step(view, 1.0))}"
         canvas.text(words, (SIZE[0] - EDGE, HEAD / 2), 14, GREY, align=1.0)
         pixels = load_pygame().image.tobytes(canvas.finish(), "RGB")
         yield np.frombuffer(pixels, dtype=np.uint8).reshape(SIZE[1], SIZE[0], 3).copy()
@@ -110,6 +117,34 @@ def _draw_detections(canvas: Canvas, view: View, report: ManyReport, k: int) -> 
             for place in report.detections[scans.offsets[scan] : scans.offsets[scan + 1], :2]:
                 if np.isfinite(place).all():
                     canvas.dot(view.project(place), 2.6, fade(GREY, 0.9 ** (4 * back)))
+
+
+def _draw_sensors(canvas: Canvas, view: View, report: ManyReport) -> None:
+    """Sensors as hollow triangles where they were last, with their path."""
+    for sensor in sensor_places(report.scans, report.plan):
+        place = view.project(sensor.path[-1])
+        if sensor.moves:
+            canvas.line(view.project(sensor.path), fade(INK, 0.3), 1.0)
+        corners = np.array([[0.0, -6.0], [5.2, 3.0], [-5.2, 3.0], [0.0, -6.0]])
+        canvas.line(place + corners, INK, 1.5)
+
+
+def _draw_network(canvas: Canvas, report: ManyReport) -> None:
+    """Who talks to whom, in the lower right corner; nodes with a sensor dark, the one whose tracks are shown ringed."""
+    plan = report.plan
+    assert plan is not None  # checked by the caller
+    middle = np.array([SIZE[0] - EDGE - 100.0, SIZE[1] - EDGE - 65.0])
+    places, senses = middle + 38.0 * node_ring(plan) * (1.0, -1.0), set(plan.sensors.values())
+    for first, second in links_of(plan):
+        canvas.line(places[[first, second]], fade(GREY, 0.7), 1.0)
+    for n, place in enumerate(places):
+        canvas.dot(place, 4.0, INK if n in senses else fade(GREY, 0.5))
+        if len(places) <= MOST_NAMES:
+            side = float(np.sign(np.round((place[0] - middle[0]) / 38.0, 1)))
+            name = middle + 1.4 * (place - middle)
+            canvas.text(plan.nodes[n], (float(name[0]), float(name[1])), 11, INK, align=0.5 - 0.5 * side)
+    angle = np.linspace(0.0, 2.0 * math.pi, 25)
+    canvas.line(places[0] + 7.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1), _COLOURS[0], 1.5)
 
 
 def _draw_track(

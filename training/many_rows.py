@@ -25,7 +25,7 @@ def track_frame(found: MultiTracks, scans: Scans, smooth: bool = False) -> pd.Da
 
     Columns: track, scan, t, sensor, x, y[, z], vx, ..., sd_x, ..., sd_vx, ..., the covariances cov_x_y, ...; hits,
     the expected number of the track's detections in the scan; status: starting at its first scan, ok, missing where
-    it was not seen, diverged where its numbers are not finite.
+    hits is at most one half, diverged where its numbers are not finite or a variance is negative.
 
     Args:
         found: what a tracker returned.
@@ -44,9 +44,10 @@ def track_frame(found: MultiTracks, scans: Scans, smooth: bool = False) -> pd.Da
 
 
 def network_frame(found: OpenTracks, nodes: tuple[str, ...]) -> pd.DataFrame:
-    """One row per node, track and time; as `track_frame`, with the column node and without sensor and hits.
+    """One row per node, track and time; as `track_frame`, with the column node in place of sensor.
 
-    A target is missing where no node's own track was near it.
+    A time has the scans of all nodes: hits is the expected number of detections of the target in all of them, the same
+    at every node, and the target is missing where that is at most one half.
     """
     parts = []
     first = _first_rows(found.id)
@@ -56,7 +57,8 @@ def network_frame(found: OpenTracks, nodes: tuple[str, ...]) -> pd.DataFrame:
             "node": np.full(len(found.id), node, dtype=object), "track": found.id, "scan": found.frame,
             "t": found.times[found.frame],
         }  # fmt: skip
-        columns |= _states(mean, cov) | {"status": _status(mean, cov, first, found.supported)}
+        columns |= _states(mean, cov) | {"hits": found.hits}
+        columns["status"] = _status(mean, cov, first, found.hits > 0.5)
         parts.append(pd.DataFrame(columns))
     return pd.concat(parts, ignore_index=True)
 
@@ -64,7 +66,8 @@ def network_frame(found: OpenTracks, nodes: tuple[str, ...]) -> pd.DataFrame:
 def _states(mean: Array, cov: Array) -> dict[str, Array]:
     width = mean.shape[1]
     labels = [f"{v}{axis}" for v in ("", "v") for axis in AXES[: width // 2]]
-    sigma = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0))
+    variances = np.diagonal(cov, axis1=1, axis2=2)
+    sigma = np.sqrt(np.where(variances >= 0, variances, np.nan))
     columns = {label: mean[:, i] for i, label in enumerate(labels)}
     columns |= {f"sd_{label}": sigma[:, i] for i, label in enumerate(labels)}
     return columns | {f"cov_{labels[i]}_{labels[j]}": cov[:, i, j] for i in range(width) for j in range(i + 1, width)}
@@ -79,7 +82,8 @@ def _first_rows(ids: NDArray[np.int64]) -> NDArray[np.bool_]:
 def _status(mean: Array, cov: Array, first: NDArray[np.bool_], seen: NDArray[np.bool_]) -> NDArray[np.object_]:
     status = np.where(seen, "ok", "missing").astype(object)
     status[first] = "starting"
-    status[~(np.isfinite(mean).all(axis=1) & np.isfinite(cov).all(axis=(1, 2)))] = "diverged"
+    good = np.isfinite(mean).all(axis=1) & np.isfinite(cov).all(axis=(1, 2))
+    status[~(good & (np.diagonal(cov, axis1=1, axis2=2) >= 0).all(axis=1))] = "diverged"
     return status
 
 

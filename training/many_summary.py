@@ -9,6 +9,7 @@ from rich.markup import escape
 from jink.estimators.multitarget.open_tracks import OpenTracks
 from jink.training.summary import number, plain_table
 from jink.training.track_many import ManyReport
+from jink.training.wording import counted
 
 __all__ = ["dropped_words", "print_many"]
 
@@ -31,8 +32,8 @@ def print_many(console: Console, report: ManyReport) -> None:
     scans, found = report.scans, report.found
     empty = int((scans.counts == 0).sum())
     console.print(
-        f"[bold]{escape(report.source)}[/bold]: {len(scans)} scans{f' ({empty} empty)' if empty else ''} of "
-        f"{len(scans.sensors)} sensor{'s' if len(scans.sensors) > 1 else ''}, {len(scans.detections)} detections, "
+        f"[bold]{escape(report.source)}[/bold]: {counted(len(scans), 'scan')}{f' ({empty} empty)' if empty else ''} of "
+        f"{counted(len(scans.sensors), 'sensor')}, {counted(len(scans.detections), 'detection')}, "
         f"{scans.sensors[0].model.name} in {scans.axes} axes"
     )
     for note in report.notes:
@@ -49,14 +50,15 @@ def print_many(console: Console, report: ManyReport) -> None:
         plan = report.plan
         nodes = len(plan.nodes) if plan is not None else 0
         console.print(
-            f"[bold]{report.estimator}[/bold]: {len(report.tracks[0])} tracks at {nodes} nodes; "
+            f"[bold]{report.estimator}[/bold]: {counted(len(report.tracks[0]), 'track')} at {counted(nodes, 'node')}; "
             f"{int(found.sent_bytes.sum()):,} bytes in {int(found.messages.sum()):,} messages"
         )
     else:
         taken = float(found.hits.sum())
+        rest = max(len(scans.detections) - taken, 0.0)
         console.print(
-            f"[bold]{report.estimator}[/bold]: {len(report.tracks[0])} tracks; {taken:.0f} of {len(scans.detections)} "
-            f"detections are theirs, {max(len(scans.detections) - taken, 0.0):.0f} false or not yet explained"
+            f"[bold]{report.estimator}[/bold]: {counted(len(report.tracks[0]), 'track')}; {taken:.0f} of "
+            f"{len(scans.detections)} detections are theirs, {rest:.0f} false or not yet explained"
         )
     trouble = int(found.trouble) if isinstance(found, OpenTracks) else int(found.counts[:, 2].sum())
     if trouble:
@@ -82,7 +84,7 @@ def _print_tracks(console: Console, report: ManyReport) -> None:
     if groups:
         console.print(table)
     if len(groups) > MOST_ROWS:
-        console.print(f"and {len(groups) - MOST_ROWS} more tracks", style="dim")
+        console.print(f"and {counted(len(groups) - MOST_ROWS, 'more track')}", style="dim")
 
 
 def _print_scores(console: Console, report: ManyReport) -> None:
@@ -91,7 +93,8 @@ def _print_scores(console: Console, report: ManyReport) -> None:
         return
     distance, kept = scores.gospa, scores.kept
     console.print(
-        f"against truth, cut-off {number(scores.cutoff, 3)} m: GOSPA {number(float(distance.distance.mean()), 3)} m; "
+        f"against truth, cut-off {number(scores.cutoff, 3)} m ({scores.origin}): "
+        f"GOSPA {number(float(distance.distance.mean()), 3)} m; "
         f"{distance.missed_count.mean():.2f} missed and {distance.false_count.mean():.2f} false per scan; "
         f"{int(kept.breaks.sum())} breaks, {int(kept.switches.sum())} identity switches; held "
         + ", ".join(number(100 * float(share), 3) + " %" for share in kept.held[:MOST_ROWS])

@@ -10,6 +10,9 @@ from jink.estimators.sensor import Sensor
 __all__ = ["parse_numbers", "parse_pairs", "parse_sigma"]
 
 
+LEAST_SIGMA, MOST_SIGMA = 1e-12, 1e12
+
+
 def parse_pairs(option: str, values: Iterable[str]) -> dict[str, str]:
     """``name=value`` pairs, comma-separated or repeated.
 
@@ -38,22 +41,24 @@ def parse_numbers(option: str, values: Iterable[str]) -> dict[str, float]:
     return {name: _number(option, value) for name, value in parse_pairs(option, values).items()}
 
 
-def parse_sigma(text: str, sensor: Sensor) -> tuple[float, ...]:
+def parse_sigma(text: str, sensor: Sensor, degrees: bool = False) -> tuple[float, ...]:
     """Standard deviation of each component: one number for all, a list in order, or ``sigma_<name>=`` pairs.
 
     Args:
         text: for instance ``15``, ``1,0.01`` or ``sigma_range=1,sigma_bearing=.01``.
         sensor: its labels name the components.
+        degrees: angles are in degrees, as in the file (``--degrees``).
 
     Returns:
-        one per component; (D,).
+        one per component, angles in rad; (D,).
 
     Raises:
-        ValueError: not a number > 0, a wrong count, an unknown or a missing component, or one number for
+        ValueError: not a number from 1e-12 to 1e12, a wrong count, an unknown or a missing component, or one number for
             components of different units.
     """
     names = [label.replace(" ", "_") for label in sensor.labels]
-    wanted = ", ".join(f"sigma_{name} in {unit}" for name, unit in zip(names, sensor.units, strict=True))
+    units = [unit.replace("rad", "deg") if degrees else unit for unit in sensor.units]
+    wanted = ", ".join(f"sigma_{name} in {unit}" for name, unit in zip(names, units, strict=True))
     if "=" in text:
         given = {k.removeprefix("sigma_"): v for k, v in parse_numbers("--sigma", [text]).items()}
         if set(given) != set(names):
@@ -70,7 +75,13 @@ def parse_sigma(text: str, sensor: Sensor) -> tuple[float, ...]:
             )
     if any(value <= 0 for value in values):
         raise ValueError(f"--sigma: value must be > 0; got '{text}'. Give standard deviations: {wanted}.")
-    return tuple(values)
+    if any(not LEAST_SIGMA <= value <= MOST_SIGMA for value in values):
+        raise ValueError(
+            f"--sigma: value must be from {LEAST_SIGMA:g} to {MOST_SIGMA:g}; got '{text}'. Give standard deviations: "
+            f"{wanted}."
+        )
+    pairs = zip(values, sensor.units, strict=True)
+    return tuple(math.radians(value) if degrees and unit == "rad" else value for value, unit in pairs)
 
 
 def _number(option: str, text: str) -> float:

@@ -48,7 +48,7 @@ def gather(
     for source in sources:
         path = Path(source)
         if path.is_file():
-            found.append(as_positions(read(replace(reading, file=path)), reading.sigma))
+            found.append(as_positions(read(replace(reading, file=path)), reading.sigma, reading.degrees))
         elif source in SCENARIOS or source in SUITES:
             for name in SUITES.get(source, (source,)):
                 with in_own_words("--steps"):
@@ -62,18 +62,19 @@ def gather(
     return found[0] if len(found) == 1 else pool(found)
 
 
-def as_positions(tracks: Tracks, sigma: str | None) -> Tracks:
+def as_positions(tracks: Tracks, sigma: str | None, degrees: bool = False) -> Tracks:
     """The same tracks measured as positions: what a sensor that locates alone saw, row by row.
 
     Args:
         tracks: as read.
         sigma: value of ``--sigma``; None: the noise of the tracks, if any.
+        degrees: its angles are in degrees.
 
     Raises:
         ValueError: a sensor that does not locate a target from one row, or no noise for one that does.
     """
     if sigma is not None:
-        deviations = np.array(parse_sigma(sigma, sensor_of(tracks)))
+        deviations = np.array(parse_sigma(sigma, sensor_of(tracks), degrees))
         noise = np.broadcast_to(np.diag(deviations**2), (*tracks.measurements.shape, len(deviations)))
         tracks = replace(tracks, noise=noise)
     if tracks.sensor == "position":

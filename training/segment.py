@@ -71,7 +71,7 @@ def segment_file(request: SegmentRequest) -> SegmentReport:
     check_writable(request.plot, "--plot", (".png", ".pdf", ".svg"))
     for path, option in ((request.out, "--out"), (request.plot, "--plot")):
         check_separate(path, option, {"the input file": request.reading.file})
-    tracks = as_positions(read(request.reading), request.reading.sigma)
+    tracks = as_positions(read(request.reading), request.reading.sigma, request.reading.degrees)
     model = find_model(request.model, axes=tracks.axes)
     if request.shown is not None and request.shown not in tracks.ids:
         more = f" and {len(tracks) - 10} more" if len(tracks) > 10 else ""

@@ -33,7 +33,7 @@ __all__ = ["Choice", "Parameter", "TrackReport", "TrackRequest", "choose", "esti
 
 _SOJOURN_S, _WARM_ROWS = 10.0, 60
 _SURGE_ROWS = 2.0
-_MANY_ONLY = ("detection", "clutter", "gate_size", "window", "network", "film")
+_MANY_ONLY = ("detection", "clutter", "gate_size", "window", "network", "cutoff", "film")
 """Options of trackers of many targets; see `jink.training.track_many`."""
 
 
@@ -75,6 +75,7 @@ class TrackRequest:
     gate_size: float | None = None
     window: int | None = None
     network: Path | None = None
+    cutoff: float | None = None
     film: Path | None = None
 
 
@@ -328,7 +329,7 @@ def _choose_learned(request: TrackRequest, name: str, tracks: Tracks) -> Choice:
     plain = sensor_of(tracks)
     use_noise = tracks.noise is not None and request.sigma is None
     if request.sigma is not None:
-        sigma, origin = parse_sigma(request.sigma, plain), "given"
+        sigma, origin = parse_sigma(request.sigma, plain, request.degrees), "given"
     elif use_noise:
         sigma, origin = (1.0,) * plain.size, "file"
     elif model.noise_sd is not None and tracks.sensor == "position":
@@ -349,7 +350,7 @@ def _choose_learned(request: TrackRequest, name: str, tracks: Tracks) -> Choice:
 
 def _choose(request: TrackRequest, tracks: Tracks) -> Choice:
     plain = sensor_of(tracks)
-    sigma = None if request.sigma is None else parse_sigma(request.sigma, plain)
+    sigma = None if request.sigma is None else parse_sigma(request.sigma, plain, request.degrees)
     with progress("choosing noise and acceleration from the file") as advance:
         tuning = tune(tracks, sigma=sigma, acceleration=request.acceleration, speed=request.speed, advance=advance)
     use_noise = tracks.noise is not None and sigma is None

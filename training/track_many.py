@@ -20,27 +20,32 @@ from jink.estimators.multitarget.results import MultiTracks
 from jink.estimators.multitarget.scans import Scans
 from jink.estimators.tracks import Tracks
 from jink.training.console import check_separate, check_writable, progress, say_when_compiling
+from jink.training.doubts import doubts_about
 from jink.training.many_choice import choose_many
 from jink.training.many_estimators import MANY, NETWORKED
 from jink.training.many_rows import network_frame, track_frame, write_frame
 from jink.training.recording import SUFFIXES
 from jink.training.running import raw_positions
-from jink.training.track import Parameter, TrackRequest, read
+from jink.training.track import Parameter, TrackRequest, interval_of, read
 from jink.training.tuning import sensor_of
 from jink.training.wording import in_own_words
 
 __all__ = ["ManyReport", "ManyScores", "track_many"]
 
 Array = NDArray[np.float64]
-UNUSED = ("gate", "forecast", "shown", "drop_repeats", "rate_hz")
+UNUSED = (
+    "gate", "forecast", "shown", "drop_repeats", "rate_hz", "model", "policy", "surge_every", "surge_for",
+)  # fmt: skip
 """Options of one target that say nothing here."""
 OPTION_NAMES = {"shown": "show"}
+WARM_SCANS = 30
 
 
 class ManyScores(NamedTuple):
     """Against truth."""
 
     cutoff: float  # m
+    origin: str  # given, or how it was chosen
     gospa: Gospa
     kept: Identities
     truth: Array  # (N, K, A)
@@ -92,12 +97,13 @@ def track_many(request: TrackRequest) -> ManyReport:
         with in_own_words("--network", files=[request.network.name]):
             plan = read_graph(request.network)
     tracks = _read(request)
+    true = _read_truth(request, tracks.axes)
     with say_when_compiling():
         scans, scales, parameters = choose_many(request, tracks, plan)
         tracker = MANY[request.estimator](scales)
         with progress(f"{request.estimator}: {tracks.source}"):
-            # A few scans compile, so the clock need not.
-            tracker.run(scans.select(np.arange(min(len(scans), 3))))
+            # As many scans as it takes to have tracks compile, so the clock need not.
+            tracker.run(scans.select(np.arange(min(len(scans), WARM_SCANS))))
             began = time.perf_counter()
             found = tracker.run(scans)
             seconds = time.perf_counter() - began
@@ -108,7 +114,8 @@ def track_many(request: TrackRequest) -> ManyReport:
         frame = track_frame(found, scans, request.smooth)
     report = ManyReport(
         tracks.source, request.estimator, scans, found, frame, parameters, _places(tracks, scans),
-        sensor_of(tracks).locate is not None, plan, _score(request, tracks, found), seconds, tracks.notes,
+        sensor_of(tracks).locate is not None, plan, _score(request, true, found), seconds,
+        (*tracks.notes, *doubts_about(request, tracks, interval_of(tracks)), *_absent(plan, scans)),
     )  # fmt: skip
     _write(request, report)
     return report
@@ -155,19 +162,24 @@ def _check(request: TrackRequest) -> None:
     if networked and request.network is None:
         raise ValueError(f"--network: file must be given for {request.estimator}; got none. Add --network graph.json.")
     for name, low, high, rule in (
-        ("detection", 0.0, 1.0, "be above 0 and at most 1"), ("clutter", -math.ulp(0.0), 1e9, "be from 0 to 1e9"),
+        ("detection", 0.0, 0.999, "be above 0 and at most 0.999, or every miss would end a track"),
+        ("clutter", -math.ulp(0.0), 1e9, "be from 0 to 1e9"),
         ("gate_size", 0.0, 1e6, "be above 0 and at most 1e6"), ("window", 0, 1000, "be from 1 to 1000"),
         ("acceleration", 0.0, 1e9, "be > 0 and finite"), ("speed", 0.0, 1e9, "be > 0 and finite"),
         ("turn_rate", 0.0, 100.0, "be > 0 and finite"), ("sojourn", 0.0, 1e9, "be > 0 and finite"),
+        ("cutoff", 0.0, 1e12, "be above 0 and at most 1e12"),
     ):  # fmt: skip
         value = getattr(request, name)
         if value is not None and not low < value <= high:
             raise ValueError(f"--{name.replace('_', '-')}: value must {rule}; got {value:g}. Use SI units.")
     if request.axes not in (None, 2, 3):
         raise ValueError(f"--axes: value must be 2 or 3; got {request.axes}. Use 2 for a plane.")
-    if request.truth_columns and request.truth is None:
-        raise ValueError(
-            f"--truth-columns: value must come with --truth; got '{request.truth_columns}' alone. Add --truth FILE."
+    for option, value in (("--truth-columns", request.truth_columns), ("--cutoff", request.cutoff)):
+        if value and request.truth is None:
+            raise ValueError(f"{option}: value must come with --truth; got '{value}' alone. Add --truth FILE.")
+    if request.truth is not None and not request.truth.is_file():
+        raise FileNotFoundError(
+            f"--truth: value must name an existing file; got {request.truth.name}. Check the spelling."
         )
 
 
@@ -198,31 +210,55 @@ def _places(tracks: Tracks, scans: Scans) -> Array | None:
     return None if places is None else places[0]
 
 
-def _score(request: TrackRequest, tracks: Tracks, found: MultiTracks | OpenTracks) -> ManyScores | None:
-    """Against the tracks of the truth file, interpolated linearly within their spans."""
+def _absent(plan: NetworkPlan | None, scans: Scans) -> tuple[str, ...]:
+    """What the network names and the file has not."""
+    names = {sensor.name for sensor in scans.sensors}
+    found = [] if plan is None else [name for name in plan.sensors if name not in names]
+    return (f"the network names sensors that have no scan: {', '.join(found)}",) if found else ()
+
+
+def _read_truth(request: TrackRequest, axes: int) -> Tracks | None:
+    """The tracks of the truth file."""
     if request.truth is None:
         return None
     with in_own_words("--truth", files=[request.truth.name]):
         from jink.envs.reading.columns import parse_columns
 
-        true = read_tracks(request.truth, parse_columns(request.truth_columns) or None, axes=tracks.axes, sort=True)
+        true = read_tracks(request.truth, parse_columns(request.truth_columns) or None, axes=axes, sort=True)
     if true.sensor != "position" or any("latitude" in note for note in true.notes):
         raise ValueError(
             f"--truth: file must hold positions in metres, as many targets are compared in them; got "
             f"{Path(request.truth).name}. Map x and y with --truth-columns."
         )
-    truth = np.full((len(true), len(found.times), tracks.axes), np.nan)
+    for one in true:
+        again = np.flatnonzero(np.diff(one.times) == 0)
+        if again.size:
+            raise ValueError(
+                f"--truth: file must give each time once per target; got {one.times[again[0]]:.9g} s twice in track "
+                f"'{one.id}' of {Path(request.truth).name}. Add a column track, or name it with --truth-columns "
+                "track=NAME."
+            )
+    return true
+
+
+def _score(request: TrackRequest, true: Tracks | None, found: MultiTracks | OpenTracks) -> ManyScores | None:
+    """Against the tracks of the truth file, interpolated linearly within their spans."""
+    if true is None:
+        return None
+    A = true.axes
+    truth = np.full((len(true), len(found.times), A), np.nan)
     for n, one in enumerate(true):
         good = np.isfinite(one.measurements).all(axis=1)
         if good.any():
-            for a in range(tracks.axes):
+            for a in range(A):
                 truth[n, :, a] = np.interp(
                     found.times, one.times[good], one.measurements[good, a], left=np.nan, right=np.nan
                 )
-    A = tracks.axes
     cov = found.cov[0] if isinstance(found, OpenTracks) else found.cov
     sigma = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2)[:, :A], 0.0)) if len(cov) else np.ones((1, A))
     # Ten standard deviations of an estimate: what is farther away is another target.
-    cutoff = float(np.clip(10.0 * np.median(sigma), 1e-3, 1e12))
+    cutoff, origin = float(np.clip(10.0 * np.median(sigma), 1e-3, 1e12)), "ten sd of this run; --cutoff compares runs"
+    if request.cutoff is not None:
+        cutoff, origin = request.cutoff, "given"
     positions = found.sets()[1]
-    return ManyScores(cutoff, gospa(positions, truth, cutoff), identities(positions, truth, cutoff), truth)
+    return ManyScores(cutoff, origin, gospa(positions, truth, cutoff), identities(positions, truth, cutoff), truth)

@@ -83,8 +83,9 @@ def read_graph(path: str | Path) -> NetworkPlan:
     nodes = _nodes(path, found["nodes"])
     index = {name: number for number, name in enumerate(nodes)}
     sensors = _sensors(path, found["sensors"], index)
-    weights = _weights(path, found.get("weights"), _links(path, found["links"], index))
+    weights = _weights(path, found.get("weights"), _links(path, found["links"], index), nodes)
     rounds, rule = found.get("rounds", 10), found.get("rule", "safe")
+    rule = "1" if _whole(rule, 1, 1) else rule
     if not _whole(rounds, 0, MOST_ROUNDS):
         raise _refusal(path, f"have whole rounds from 0 to {MOST_ROUNDS}", rounds, "Use for example 10")
     if rule not in list(RULES):
@@ -136,12 +137,12 @@ def _links(path: Path, value: Any, index: dict[str, int]) -> NDArray[np.bool_]:
     return linked
 
 
-def _weights(path: Path, value: Any, linked: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _weights(path: Path, value: Any, linked: NDArray[np.bool_], nodes: tuple[str, ...]) -> NDArray[np.float64]:
     apart = _unreached(linked)
     if apart.size:
         raise ValueError(
             f"read_graph: {path.name} must link all nodes, over others if need be; got {apart.size} that the first "
-            f"cannot reach, such as number {apart[0]} of the list (from 0). Add a link."
+            f"cannot reach, such as {nodes[apart[0]]}. Add a link."
         )
     if value is None:
         weights: Any = metropolis_weights(linked)
@@ -154,6 +155,7 @@ def _weights(path: Path, value: Any, linked: NDArray[np.bool_]) -> NDArray[np.fl
         return check_weights(weights, linked)
     except ValueError as error:
         rule = str(error).partition(": ")[2].partition(" must ")[2]
+        rule = f"are {rule.removeprefix('be ')}" if rule.startswith("be ") else rule
         raise ValueError(f"read_graph: {path.name} must have weights and links that {rule}") from error
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
 
+from jink.estimators.checks import check_count, check_number
 from jink.estimators.metrics.steps import Floats, Ints
 from jink.estimators.metrics.target_sets import target_set
 
@@ -52,11 +53,8 @@ def identities(estimate: ArrayLike, truth: ArrayLike, gate: float, last: int = 1
     Source: Bernardin, Stiefelhagen (2008), section 2.1. Differs: squared distances; breaks, losses and false tracks
     are ours.
     """
-    if not 0.0 < gate < np.inf or last < 1:
-        raise ValueError(
-            f"identities: gate must be finite and > 0 and last >= 1; got {gate} and {last}. "
-            "Use the cut-off of GOSPA and last=10."
-        )
+    check_number("identities", "gate", gate, 0.0, 1e140, remedy="Use the cut-off of GOSPA, in metres.")
+    check_count("identities", "last", last, 1, remedy="Use 10.")
     x, y = target_set("identities", "estimate", estimate), target_set("identities", "truth", truth)
     if x.shape[1:] != y.shape[1:]:
         raise ValueError(

@@ -13,9 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
 
+from jink.estimators.checks import check_array, check_number
 from jink.estimators.metrics.steps import Floats, Ints
 
 __all__ = ["Gospa", "gospa", "ospa", "target_set"]
+
+
+LEAST_POWER, MOST_POWER = -280, 280
+"""Powers of ten of ``cutoff**order`` beyond which sums over targets leave the range of numbers."""
 
 
 class Gospa(NamedTuple):
@@ -49,7 +54,7 @@ def gospa(estimate: ArrayLike, truth: ArrayLike, cutoff: float, order: float = 2
     Returns:
         `Gospa`, fields (T,), or without dimension for one time.
     Raises:
-        ValueError: shapes differ, cutoff <= 0 or order < 1.
+        ValueError: shapes differ, cutoff <= 0, order < 1, or a power of the cut-off that is no number.
     Source: Rahmathullah, Garcia-Fernandez, Svensson (2017), proposition 1. Differs: none.
     """
     x, y = _pair("gospa", estimate, truth, cutoff, order)
@@ -114,7 +119,7 @@ def target_set(caller: str, name: str, values: ArrayLike) -> Floats:
     Raises:
         ValueError: not two or three dimensions, or no axis.
     """
-    array = np.array(values, dtype=np.float64)
+    array = check_array(caller, name, values, "Give positions in metres.")
     if array.ndim == 2:
         array = array[:, None]
     if array.ndim != 3 or array.shape[2] == 0:
@@ -127,10 +132,13 @@ def target_set(caller: str, name: str, values: ArrayLike) -> Floats:
 
 
 def _pair(caller: str, estimate: ArrayLike, truth: ArrayLike, cutoff: float, order: float) -> tuple[Floats, Floats]:
-    if not 0.0 < cutoff < np.inf or not 1.0 <= order < np.inf:
+    remedy = "Use a few standard deviations of the position, in metres."
+    c = check_number(caller, "cutoff", cutoff, 0.0, remedy=remedy)
+    p = check_number(caller, "order", order, 1.0, least=True, remedy="Use 2.")
+    if not LEAST_POWER < p * np.log10(c) < MOST_POWER:
         raise ValueError(
-            f"{caller}: cutoff must be finite and > 0 and order finite and >= 1; got {cutoff} and {order}. "
-            "Use a few standard deviations of the position in metres, and order=2."
+            f"{caller}: cutoff must have a power cutoff**order between 1e{LEAST_POWER} and 1e{MOST_POWER}; got {c:g} "
+            f"and order {p:g}. {remedy}"
         )
     x, y = target_set(caller, "estimate", estimate), target_set(caller, "truth", truth)
     if x.shape[1:] != y.shape[1:] or np.ndim(estimate) != np.ndim(truth):

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jink.estimators.checks import check_choice, check_count, check_kind
 from jink.estimators.multitarget.faults import Faults
 from jink.estimators.multitarget.weights import check_weights
 
@@ -85,7 +86,7 @@ def novelty_weights(rule: str, mixing: ArrayLike, holds: ArrayLike) -> Array:
     Raises:
         ValueError: an unknown rule.
     """
-    _check_rule("novelty_weights", rule)
+    check_choice("novelty_weights", "rule", rule, RULES)
     seen = np.asarray(holds, dtype=np.float64)
     out = RULES[rule](np.asarray(mixing, dtype=np.float64), seen.reshape(len(seen), -1))
     return out.reshape(seen.shape)
@@ -161,9 +162,9 @@ class Consensus:
     def __post_init__(self) -> None:
         put = object.__setattr__
         put(self, "weights", check_weights(self.weights))
-        if not isinstance(self.rounds, int | np.integer) or isinstance(self.rounds, bool) or self.rounds < 0:
-            raise ValueError(f"Consensus: rounds must be an integer >= 0; got {self.rounds!r}. Use for example 10.")
-        _check_rule("Consensus", self.rule)
+        check_count("Consensus", "rounds", self.rounds, 0, remedy="Use for example 10.")
+        check_choice("Consensus", "rule", self.rule, RULES)
+        check_kind("Consensus", "faults", self.faults, Faults, "Faults", "Use Faults() for none.")
         self.faults.check_nodes(len(self.weights))
         put(self, "_whole", np.linalg.matrix_power(self.weights, int(self.rounds)))
 
@@ -185,8 +186,3 @@ class Consensus:
             return Exchange(self._whole, alive, sent)
         heard = self.faults.heard(time, number, int(self.rounds), self.adjacency)
         return Exchange(mixing_matrix(self.weights, heard, self.faults.lag(self.nodes)), alive, sent)
-
-
-def _check_rule(caller: str, rule: str) -> None:
-    if rule not in RULES:
-        raise ValueError(f"{caller}: rule must be one of {', '.join(RULES)}; got {rule!r}. Choose one.")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jink.estimators.checks import check_choice, check_count, check_kind, check_number
 from jink.estimators.markov import MarkovChain
 from jink.estimators.motion import Motion
 from jink.estimators.multitarget.consensus import Consensus, message_bytes
@@ -19,9 +20,9 @@ from jink.estimators.multitarget.network_results import NetworkFound, NetworkTra
 from jink.estimators.multitarget.network_state import NetworkState, Paths, frames_of
 from jink.estimators.multitarget.network_step import NetworkStep
 from jink.estimators.multitarget.node_kernels import predict_targets
-from jink.estimators.multitarget.pmht import KnownTracks
+from jink.estimators.multitarget.pmht import KnownTracks, check_annealing, check_homothetic, check_motions
 from jink.estimators.multitarget.scan_sensor import ScanSensor
-from jink.estimators.multitarget.scans import Scan, Scans
+from jink.estimators.multitarget.scans import Scan, Scans, check_scan, check_sensors
 from jink.estimators.multitarget.tables import Moving, make_moving
 from jink.estimators.multitarget.tracked import state_moments
 
@@ -47,18 +48,19 @@ class DistributedPmht:
         node_of: node at which each sensor stands; one per sensor of the scans.
         order: one of `ORDERS`.
         window: times that are smoothed together, at least 1.
-        exchanged: newest times whose association is iterated and sent anew at each step, 1 to ``window``.
+        exchanged: newest times whose association is iterated and sent anew at each step, 1 to ``window``. More costs as
+            many times the bytes and loses targets in clutter; see the results.
         iterations: of EM at each step before the weights that are sent, at least 1. More make a node surer of its own
             choice before it has heard others.
-        annealing: factors on R in the first iterations, decreasing to 1.
-        homothetic: shares and factors on R of the target density; None: plain.
+        annealing: factors on R in the first iterations, decreasing to 1; with ``adaptive=False``, several iterations.
+        homothetic: shares and factors on R of the target density; None: plain; with ``adaptive=False``.
         gate: D^2 beyond which a detection is no candidate; None: all are. A sensor's own gate comes first.
         adaptive: densities of the E-step know how uncertain the state is; else the plain ones of PMHT, R alone.
         correction: what a node sends is worth less where the assignment is uncertain.
         chain: Markov chain of the modes; None: each lasts 10 s on average.
 
     Raises:
-        ValueError: an option out of range, or a node that does not exist.
+        ValueError: an option out of range or without effect, or a node that does not exist.
 
     Source: CN115508822B S1-S4; Battistelli and others (2015). Differs: information form without division by the
     weights; V2, the times sent anew and the correction are ours.
@@ -79,35 +81,47 @@ class DistributedPmht:
     chain: MarkovChain | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "motion", (self.motion,) if isinstance(self.motion, Motion) else tuple(self.motion))
-        object.__setattr__(self, "node_of", tuple(int(node) for node in self.node_of))
-        if self.order not in ORDERS:
-            raise ValueError(
-                f"DistributedPmht: order must be one of {', '.join(ORDERS)}; got {self.order!r}. Choose one."
-            )
+        me = "DistributedPmht"
+        object.__setattr__(self, "motion", check_motions(me, self.motion, self.chain))
+        check_kind(me, "consensus", self.consensus, Consensus, "a Consensus", "Use Consensus(metropolis_weights(...)).")
+        check_choice(me, "order", self.order, ORDERS)
         for name, most in (("window", np.inf), ("exchanged", self.window), ("iterations", np.inf)):
-            value = getattr(self, name)
-            if not isinstance(value, int | np.integer) or isinstance(value, bool) or not 1 <= value <= most:
-                raise ValueError(
-                    f"DistributedPmht: {name} must be an integer from 1 to {most}; got {value!r}. Give a count."
-                )
-        if not self.node_of or not all(0 <= node < self.consensus.nodes for node in self.node_of):
-            raise ValueError(
-                f"DistributedPmht: node_of must name nodes 0..{self.consensus.nodes - 1}, one per sensor; got "
-                f"{self.node_of}. Use the sensing nodes of the network, in the order of the sensors."
-            )
-        if self.gate is not None and not self.gate > 0:
-            raise ValueError(f"DistributedPmht: gate must be > 0; got {self.gate!r}. Use 25, or None for none.")
+            check_count(me, name, getattr(self, name), 1, most, remedy="Give a count.")
+        object.__setattr__(self, "node_of", self._checked_nodes())
+        if self.gate is not None:
+            check_number(me, "gate", self.gate, 0.0, infinite=True, remedy="Use 25, or None for none.")
+        check_annealing(me, self.annealing)
+        check_homothetic(me, self.homothetic)
+        self._check_effect()
         J = len(self.moving.linear)
-        if self.chain is not None and self.chain.modes != J:
-            raise ValueError(
-                f"DistributedPmht: chain must have one state per motion, {J}; got {self.chain.modes}. Give one row per "
-                "motion."
-            )
         if J > 1 and self.exchanged > 1:
             raise ValueError(
                 f"DistributedPmht: exchanged must be 1 with a bank, whose earlier modes are not kept; got "
                 f"{self.exchanged}. Leave it out."
+            )
+
+    def _checked_nodes(self) -> tuple[int, ...]:
+        last = self.consensus.nodes - 1
+        good = isinstance(self.node_of, Sequence | np.ndarray) and len(self.node_of) > 0
+        if not good or not all(isinstance(node, int | np.integer) and 0 <= node <= last for node in self.node_of):
+            raise ValueError(
+                f"DistributedPmht: node_of must name nodes 0..{last}, one per sensor; got {self.node_of}. Use the "
+                "sensing nodes of the network, in the order of the sensors."
+            )
+        return tuple(int(node) for node in self.node_of)
+
+    def _check_effect(self) -> None:
+        """Refuse what would do nothing."""
+        for name, given in (("annealing", len(self.annealing) > 0), ("homothetic", self.homothetic is not None)):
+            if given and self.adaptive:
+                raise ValueError(
+                    f"DistributedPmht: {name} must be left out with adaptive densities, which do not use it; got "
+                    f"{getattr(self, name)!r}. Give adaptive=False as well."
+                )
+        if len(self.annealing) and self.iterations == 1:
+            raise ValueError(
+                f"DistributedPmht: annealing must come with iterations > 1, as the last has none; got "
+                f"{self.annealing!r} and 1. Give more iterations."
             )
 
     @classmethod
@@ -149,11 +163,13 @@ class DistributedPmht:
         Raises:
             ValueError: sensors without a node, or space dimensions that differ.
         """
-        every = (sensors,) if isinstance(sensors, ScanSensor) else tuple(sensors)
+        me = "DistributedPmht.start"
+        every = check_sensors(me, sensors)
+        check_kind(me, "known", known, KnownTracks, "KnownTracks", "Give their mean, cov and time.")
         axes = {self.motions[0].axes, known.mean.shape[1] // 2, *(sensor.model.axes for sensor in every)}
         if len(every) != len(self.node_of) or len(axes) > 1:
             raise ValueError(
-                f"DistributedPmht.start: sensors must be one per entry of node_of, {len(self.node_of)}, in the space "
+                f"{me}: sensors must be one per entry of node_of, {len(self.node_of)}, in the space "
                 f"of motion and targets; got {len(every)} and dimensions {sorted(axes)}. Fit them."
             )
         N, n = self.consensus.nodes, self.motions[0].size
@@ -181,12 +197,18 @@ class DistributedPmht:
         Raises:
             ValueError: another time or space dimension.
         """
+        me = "DistributedPmht.admit"
+        check_kind(me, "known", known, KnownTracks, "KnownTracks", "Give their mean, cov and time.")
         if known.time != state.time or known.mean.shape[1] != 2 * self.motions[0].axes:
             raise ValueError(
-                f"DistributedPmht.admit: known must be of {state.time:g} s and {self.motions[0].axes} dimensions; got "
+                f"{me}: known must be of {state.time:g} s and {self.motions[0].axes} dimensions; got "
                 f"{known.time:g} s and shape {known.mean.shape}. Predict them to the last scan."
             )
-        mean, cov = state_moments(self.motions[0], known.mean, known.cov)
+        return self._admitted(state, known.mean, known.cov)
+
+    def _admitted(self, state: NetworkState, mean: Array, cov: Array) -> NetworkState:
+        """`admit` of position and velocity as a tracker has them, which rounding may have spoilt."""
+        mean, cov = state_moments(self.motions[0], mean, cov)
         N, more = self.consensus.nodes, len(mean)
         fresh = self._fresh(mean, cov)
         return state._replace(
@@ -222,8 +244,16 @@ class DistributedPmht:
             the new state and what was found.
 
         Raises:
-            ValueError: scans of several times, or older than the last.
+            ValueError: scans of several times, older than the last, of an unknown sensor, or not what it measures.
         """
+        remedy = "Group scans of one time with frames_of."
+        check_kind("DistributedPmht.step", "scans", scans, Sequence, "a sequence of scans", remedy)
+        for scan in scans:
+            check_scan("DistributedPmht.step", scan, state.sensors, state.time)
+        return self._taken(state, scans)
+
+    def _taken(self, state: NetworkState, scans: Sequence[Scan]) -> tuple[NetworkState, NetworkFound]:
+        """`step` with scans that have been checked."""
         times = {scan.time for scan in scans}
         if len(times) != 1 or min(times) < state.time:
             raise ValueError(
@@ -248,7 +278,7 @@ class DistributedPmht:
         )
         return state, NetworkFound(
             time, state.ids, state.last, state.last_cov, retired, run.messages, run.messages * length, run.exchanges,
-            run.trouble,
+            run.trouble, run.hits[:, :, -1].sum(axis=0),
         )  # fmt: skip
 
     def run(self, scans: Scans, known: KnownTracks) -> NetworkTracks:
@@ -261,9 +291,11 @@ class DistributedPmht:
         Returns:
             tracks at every node.
         """
+        me = "DistributedPmht.run"
+        check_kind(me, "scans", scans, Scans, "Scans", "Make them with Scans.from_arrays or Scans.from_frame.")
         state, found = self.start(scans.sensors, known), []
         for frame in frames_of(list(scans)):
-            state, one = self.step(state, frame)
+            state, one = self._taken(state, frame)
             found.append(one)
         return gather_network(self.moving, found, state)
 

@@ -102,7 +102,8 @@ def _propagate(begins, pairs, head, follow, odds, base, missed, rounds, incoming
     """Marginals of a cluster by messages.
 
     Model: ``mu_mr = psi_m(r) / (psi_m(0) + sum_r'!=r psi_m(r') nu_r'm)``, ``nu_rm = 1 / (lambda + sum_m'!=m mu_m'r)``;
-    ``odds`` are psi, ``base`` lambda, on one scale.
+    ``odds`` are psi, ``base`` lambda, on one scale. The weights of a detection are divided by their sum where that is
+    above one.
     """
     m = head
     while m >= 0:
@@ -142,6 +143,22 @@ def _propagate(begins, pairs, head, follow, odds, base, missed, rounds, incoming
                 for p in range(begins[m], begins[m + 1]):
                     message[p] = 1.0 / max(incoming[pairs[p]] - weight[p], base)
                 m = follow[m]
+    # Messages that have not settled can give a detection to two targets; a detection has one source at most.
+    m = head
+    while m >= 0:
+        for p in range(begins[m], begins[m + 1]):
+            incoming[pairs[p]] = 0.0
+        m = follow[m]
+    m = head
+    while m >= 0:
+        for p in range(begins[m], begins[m + 1]):
+            incoming[pairs[p]] += weight[p]
+        m = follow[m]
+    m = head
+    while m >= 0:
+        for p in range(begins[m], begins[m + 1]):
+            weight[p] /= max(incoming[pairs[p]], 1.0)
+        m = follow[m]
 
 
 @entry_kernel
@@ -166,7 +183,8 @@ def exclude(offsets, begins, pairs, log_odds, missed, clutter, rounds, most, wei
     Returns:
         targets of the largest cluster that was weighed by messages.
 
-    Source: Fortmann, Bar-Shalom, Scheffe (1983); Williams, Lau (2014). Differs: none; a fixed number of rounds.
+    Source: Fortmann, Bar-Shalom, Scheffe (1983); Williams, Lau (2014). Differs: a fixed number of rounds, and
+    then no detection has weights that sum to more than one.
     """
     K, M = missed.shape
     N, P = offsets[K], begins[K * M]

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from jink.estimators.checks import check_array, check_count, check_number
 
 __all__ = ["Faults"]
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+ROWS = {"broken": (4, (0, 1)), "dead": (3, (0,)), "delays": (2, (0, 1)), "lost": (4, (1, 2, 3))}
+"""Numbers of a row, and which of them are whole: nodes and rounds."""
 
 
 @dataclass(frozen=True)
@@ -40,23 +45,18 @@ class Faults:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("broken", "dead", "delays", "lost"):
-            object.__setattr__(self, name, tuple(tuple(row) for row in getattr(self, name)))
         for name in ("message_loss", "link_failure"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"Faults: {name} must be a probability; got {getattr(self, name)!r}. Use 0 to 1.")
-        for name, width in (("broken", 4), ("dead", 3), ("delays", 2), ("lost", 4)):
-            if any(len(row) != width for row in getattr(self, name)):
-                raise ValueError(
-                    f"Faults: {name} must have {width} numbers per row; got {getattr(self, name)}. Fit it."
-                )
+            check_number("Faults", name, getattr(self, name), 0.0, 1.0, least=True, remedy="Give a probability.")
+        for name, (width, whole) in ROWS.items():
+            object.__setattr__(self, name, _rows(name, getattr(self, name), width, whole))
+        check_count("Faults", "seed", self.seed, 0, remedy="Give a seed.")
         if any(not row[-2] < row[-1] for row in (*self.broken, *self.dead)):
             raise ValueError(
                 f"Faults: broken and dead must end after they begin; got {self.broken} and {self.dead}. Use np.inf "
                 "for good."
             )
-        if any(rounds < 0 for _, rounds in self.delays) or self.seed < 0:
-            raise ValueError(f"Faults: delays and seed must be >= 0; got {self.delays} and {self.seed}. Count rounds.")
+        if any(rounds < 0 for _, rounds in self.delays):
+            raise ValueError(f"Faults: delays must be >= 0; got {self.delays}. Count rounds.")
 
     def check_nodes(self, nodes: int) -> None:
         """Refuse faults of nodes that do not exist.
@@ -117,3 +117,17 @@ class Faults:
         for node, rounds in self.delays:
             late[node] = rounds
         return late
+
+
+def _rows(name: str, given: Any, width: int, whole: tuple[int, ...]) -> tuple[tuple[Any, ...], ...]:
+    """Rows of numbers, nodes and rounds as integers."""
+    remedy = "Write ((1, 2),) for one row." if width == 2 else "Write a row in two pairs of parentheses."
+    table = check_array("Faults", name, given, remedy)
+    if table.size == 0:
+        return ()
+    if table.ndim != 2 or table.shape[1] != width or np.isnan(table).any():
+        raise ValueError(f"Faults: {name} must have {width} numbers per row; got {given!r}. {remedy}")
+    counts = table[:, whole]
+    if not np.isfinite(counts).all() or (counts != np.floor(counts)).any():
+        raise ValueError(f"Faults: {name} must have whole numbers for nodes and rounds; got {given!r}. Count from 0.")
+    return tuple(tuple(int(v) if i in whole else float(v) for i, v in enumerate(row)) for row in table)

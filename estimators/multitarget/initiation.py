@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from jink.estimators.checks import check_count, check_number
 from jink.estimators.multitarget.absorbing import absorb
 from jink.estimators.multitarget.em import foresee, score_newest
 from jink.estimators.multitarget.placing import place_detections
@@ -66,16 +67,16 @@ class Initiation:
     most: int = 2000
 
     def __post_init__(self) -> None:
-        for name in ("speed", "confirm", "drop", "delete", "patience", "merge_scans", "most", "hits"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"Initiation: {name} must be > 0; got {getattr(self, name)!r}. Use SI units and nat.")
-        if not 0 <= self.separation < np.inf:
-            raise ValueError(f"Initiation: separation must be >= 0; got {self.separation!r}. Give metres, or 0.")
-        if not (self.speed < np.inf and self.hits <= self.scans < 60):
-            raise ValueError(
-                f"Initiation: speed must be finite and hits <= scans < 60; got {self.speed}, {self.hits} of "
-                f"{self.scans}. Use for instance 3 of 5."
-            )
+        me = "Initiation"
+        check_number(me, "speed", self.speed, 0.0, remedy="Give m/s.")
+        for name in ("confirm", "drop", "delete", "patience"):
+            remedy = "Give seconds." if name == "patience" else "Give nat."
+            check_number(me, name, getattr(self, name), 0.0, infinite=True, remedy=remedy)
+        check_number(me, "separation", self.separation, 0.0, least=True, remedy="Give metres, or 0.")
+        check_count(me, "scans", self.scans, 1, 59, remedy="Use for instance 5.")
+        check_count(me, "hits", self.hits, 1, self.scans, remedy="Use for instance 3 of 5 scans.")
+        for name in ("merge_scans", "most"):
+            check_count(me, name, getattr(self, name), 1, remedy="Give a count.")
 
 
 class Tentative(NamedTuple):

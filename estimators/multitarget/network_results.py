@@ -29,6 +29,7 @@ class NetworkFound(NamedTuple):
     sent_bytes: int
     exchanges: int  # of L rounds each
     trouble: int  # updates without a covariance; the prediction stood in
+    hits: Array  # expected detections of each target at this time, of all nodes; (M,)
 
 
 class NetworkTracks(NamedTuple):

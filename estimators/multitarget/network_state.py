@@ -119,11 +119,7 @@ def node_scans(
         detections[offsets[k] : offsets[k + 1], :d] = scan.detections
         noise[k, :d, :d] = scan.noise
         places[k] = scan.sensor_state
-        sensor = sensors[scan.sensor]
-        seen = np.ones(M, dtype=bool)
-        if sensor.watches is not None and M:
-            seen = np.asarray(sensor.watches(positions[:, slot], scan.sensor_state), dtype=bool)
-        detected[k] = np.where(seen, sensor.detection, 0.0)
+        detected[k] = sensors[scan.sensor].detected(positions[:, slot], scan.sensor_state)
     used = [sensors[scan.sensor] for _, scan in own]
     gates = [gate if sensor.gate is None else sensor.gate for sensor in used]
     return NodeScans(

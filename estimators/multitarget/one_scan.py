@@ -42,6 +42,11 @@ class _Loop(Pmht):
     """The loop of PMHT over windows of one scan, with weights chosen by a function."""
 
     choose: Callable[[Candidates], Array] = field(kw_only=True)
+    name: str = field(kw_only=True)
+
+    @property
+    def _caller(self) -> str:
+        return self.name
 
     def _fit(self, state: PmhtState, window: Window, tracks: TrackSet, iterations: int) -> Fit:
         index = int(window.sensor[0])
@@ -88,13 +93,7 @@ class OneScanTracker:
     initiation: Initiation | None = field(default_factory=Initiation)
 
     def __post_init__(self) -> None:
-        every = (self.motion,) if isinstance(self.motion, Motion) else self.motion
-        if not isinstance(every, Sequence) or not every or not all(isinstance(one, Motion) for one in every):
-            raise ValueError(
-                f"{type(self).__name__}: motion must be one Motion, or several; got {self.motion!r}. Use "
-                "constant_velocity()."
-            )
-        _ = self._loop
+        _ = self._loop  # which checks the options
 
     def weights(self, offered: Candidates) -> Array:
         """Probability of each pair; (P,)."""
@@ -110,6 +109,7 @@ class OneScanTracker:
             gate=self.gate,
             initiation=self.initiation,
             choose=self.weights,
+            name=type(self).__name__,
         )
 
     def start(

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from jink.estimators.checks import check_kind, check_number
 from jink.estimators.multitarget.distributed import DistributedPmht
 from jink.estimators.multitarget.initiation import Initiation
 from jink.estimators.multitarget.network_state import NetworkState, frames_of
@@ -69,9 +70,13 @@ class OpenNetwork:
     local: Pmht | OneScanTracker | None = None
 
     def __post_init__(self) -> None:
-        for name in ("near", "patience"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"OpenNetwork: {name} must be > 0; got {getattr(self, name)!r}. Use 25 and 10 s.")
+        me = "OpenNetwork"
+        check_kind(me, "tracker", self.tracker, DistributedPmht, "a DistributedPmht", "Give the network.")
+        check_kind(me, "initiation", self.initiation, Initiation, "an Initiation", "Use Initiation(speed=20.0).")
+        for name, remedy in (("near", "Use 25."), ("patience", "Use 10 s.")):
+            check_number(me, name, getattr(self, name), 0.0, infinite=True, remedy=remedy)
+        kinds = (Pmht, OneScanTracker, type(None))
+        check_kind(me, "local", self.local, kinds, "a Pmht, Gnn or Jpda, or None", "Leave it out.")
 
     @cached_property
     def finder(self) -> Pmht | OneScanTracker:
@@ -88,6 +93,7 @@ class OpenNetwork:
             sensors: those that will scan.
             time: s; of the first scans.
         """
+        check_number("OpenNetwork.start", "time", time, remedy="Give seconds.")
         width = 2 * self.tracker.motions[0].axes
         nobody = KnownTracks(np.zeros((0, width)), np.eye(width), float(time))
         every = (sensors,) if isinstance(sensors, ScanSensor) else tuple(sensors)
@@ -106,6 +112,7 @@ class OpenNetwork:
         """
         tracker = self.tracker
         network, found = tracker.step(state.network, scans)
+        hits = found.hits
         alive = tracker.consensus.faults.alive(found.time, tracker.consensus.nodes)
         local, supported = dict(state.local), state.supported.copy()
         begun: list[int] = []
@@ -123,7 +130,8 @@ class OpenNetwork:
             fresh = owner < 0
             if fresh.any():
                 first = network.next_id
-                network = tracker.admit(network, KnownTracks(own.now.mean[fresh], own.now.cov[fresh], found.time))
+                network = tracker._admitted(network, own.now.mean[fresh], own.now.cov[fresh])
+                hits = np.append(hits, np.zeros(int(fresh.sum())))
                 begun += range(first, network.next_id)
                 supported = np.append(supported, np.full(int(fresh.sum()), found.time))
             width = own.now.mean.shape[1]
@@ -136,8 +144,9 @@ class OpenNetwork:
         links = int((tracker.consensus.adjacency & alive & alive[:, None]).sum())
         mean, cov = self._moments(network)
         return OpenState(network, local, supported[stays]), OpenFound(
-            found.time, network.ids, mean, cov, supported[stays] == found.time, np.array(begun, dtype=np.int64), ended,
-            found.messages + said * links, found.sent_bytes + 8 * words * links, found.trouble,
+            found.time, network.ids, mean, cov, supported[stays] == found.time, hits[stays],
+            np.array(begun, dtype=np.int64), ended, found.messages + said * links,
+            found.sent_bytes + 8 * words * links, found.trouble,
         )  # fmt: skip
 
     def run(self, scans: Scans) -> OpenTracks:
@@ -149,6 +158,8 @@ class OpenNetwork:
         Returns:
             tracks at every node.
         """
+        remedy = "Make them with Scans.from_arrays or Scans.from_frame."
+        check_kind("OpenNetwork.run", "scans", scans, Scans, "Scans", remedy)
         found = []
         if len(scans):
             state = self.start(scans.sensors, float(scans.times[0]))

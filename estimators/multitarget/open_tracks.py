@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jink.estimators.checks import check_count
+
 __all__ = ["OpenFound", "OpenTracks", "gather_open"]
 
 Array = NDArray[np.float64]
@@ -22,6 +24,7 @@ class OpenFound(NamedTuple):
     mean: Array  # (N, M, 2 A)
     cov: Array  # (N, M, 2 A, 2 A)
     supported: NDArray[np.bool_]  # whether some node's own track is near; (M,)
+    hits: Array  # expected detections of each target at this time, of all nodes; (M,)
     begun: Ints
     ended: Ints
     messages: int  # announcements included
@@ -36,14 +39,20 @@ class OpenTracks(NamedTuple):
     id: Ints  # (R,)
     mean: Array  # fused, as it stood then; (N, R, 2 A)
     cov: Array  # (N, R, 2 A, 2 A)
-    supported: NDArray[np.bool_]  # (R,)
+    supported: NDArray[np.bool_]  # whether some node's own track was near; (R,)
+    hits: Array  # expected detections of the target at this time, of all nodes; (R,)
     times: Array  # (F,)
     messages: Ints  # (F,)
     sent_bytes: Ints  # (F,)
     trouble: int
 
     def sets(self, node: int = 0) -> tuple[Ints, Array]:
-        """Tracks of a node as sets for GOSPA: ids (M,), positions (M, F, A), NaN where a track is not there."""
+        """Tracks of a node as sets for GOSPA: ids (M,), positions (M, F, A), NaN where a track is not there.
+
+        Raises:
+            ValueError: a node that does not exist.
+        """
+        check_count("OpenTracks.sets", "node", node, 0, len(self.mean) - 1, remedy="Count nodes from 0.")
         ids, row = np.unique(self.id, return_inverse=True)
         A = self.mean.shape[2] // 2
         out = np.full((len(ids), len(self.times), A), np.nan)
@@ -61,6 +70,7 @@ def gather_open(found: Sequence[OpenFound], nodes: int, axes: int) -> OpenTracks
         np.concatenate([np.zeros((nodes, 0, 2 * axes)), *(one.mean for one in found)], axis=1),
         np.concatenate([np.zeros((nodes, 0, 2 * axes, 2 * axes)), *(one.cov for one in found)], axis=1),
         np.concatenate([np.zeros(0, dtype=bool), *(one.supported for one in found)]),
+        np.concatenate([np.zeros(0), *(one.hits for one in found)]),
         np.array([one.time for one in found], dtype=np.float64),
         np.array([one.messages for one in found], dtype=np.int64),
         np.array([one.sent_bytes for one in found], dtype=np.int64),

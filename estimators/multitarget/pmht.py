@@ -10,13 +10,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jink.estimators.checks import check_array, check_choice, check_count, check_kind, check_number
+from jink.estimators.inputs import check_moments
 from jink.estimators.markov import MarkovChain
 from jink.estimators.motion import Motion
 from jink.estimators.multitarget.em import fit_window, foresee
 from jink.estimators.multitarget.initiation import Initiation, Tentative, initiate, no_tentatives
 from jink.estimators.multitarget.results import Fit, Found, MultiTracks, Outcome, gather
 from jink.estimators.multitarget.scan_sensor import ScanSensor
-from jink.estimators.multitarget.scans import Scan, Scans
+from jink.estimators.multitarget.scans import Scan, Scans, check_scan, check_sensors
 from jink.estimators.multitarget.tables import Moving, Sensing, make_moving, make_sensing
 from jink.estimators.multitarget.tracked import (
     TrackSet,
@@ -29,10 +31,10 @@ from jink.estimators.multitarget.tracked import (
     without_first,
 )
 
-__all__ = ["KnownTracks", "Pmht", "PmhtState"]
+__all__ = ["KnownTracks", "Pmht", "PmhtState", "check_annealing", "check_homothetic", "check_motions"]
 
 Array = NDArray[np.float64]
-RULES = {"fixed", "updated"}, {"share", "missed"}, {"independent", "exclusive"}
+RULES = ("fixed", "updated"), ("share", "missed"), ("exclusive", "independent")
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +47,7 @@ class KnownTracks:
         time: s; not after the first scan.
 
     Raises:
-        ValueError: shapes that do not fit, or numbers that are not finite.
+        ValueError: shapes that do not fit, numbers that are not finite, or a matrix that is no covariance.
     """
 
     mean: Array
@@ -53,16 +55,17 @@ class KnownTracks:
     time: float
 
     def __post_init__(self) -> None:
-        mean = np.atleast_2d(np.asarray(self.mean, dtype=np.float64))
-        M, width = mean.shape
-        cov = np.asarray(self.cov, dtype=np.float64)
-        if width not in (2, 4, 6) or cov.shape[-2:] != (width, width) or cov.ndim > 3:
+        me = "KnownTracks"
+        mean = np.atleast_2d(check_array(me, "mean", self.mean, "Give position then velocity."))
+        cov = check_array(me, "cov", self.cov, "Give one matrix, or one per target.")
+        M, width = mean.shape if mean.ndim == 2 else (0, 0)
+        if width not in (2, 4, 6) or cov.shape not in ((width, width), (1, width, width), (M, width, width)):
             raise ValueError(
                 f"KnownTracks: mean must have shape (M, 2 A) and cov (M, 2 A, 2 A); got {mean.shape} and {cov.shape}. "
                 "Give position then velocity."
             )
-        if not (np.isfinite(mean).all() and np.isfinite(cov).all() and np.isfinite(self.time)):
-            raise ValueError("KnownTracks: mean, cov and time must be finite; got others. Leave such targets out.")
+        check_moments(mean, cov, me)
+        check_number(me, "time", self.time, remedy="Give seconds.")
         object.__setattr__(self, "mean", mean)
         object.__setattr__(self, "cov", np.array(np.broadcast_to(cov, (M, width, width))))
         object.__setattr__(self, "time", float(self.time))
@@ -140,42 +143,25 @@ class Pmht:
     rounds: int = 20
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "motion", (self.motion,) if isinstance(self.motion, Motion) else tuple(self.motion))
+        me = self._caller
+        object.__setattr__(self, "motion", check_motions(me, self.motion, self.chain))
         for name in ("window", "slide", "iterations", "rounds"):
-            value = getattr(self, name)
-            if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 1:
-                raise ValueError(f"Pmht: {name} must be an integer >= 1; got {value!r}. Give a count.")
-        names = ("priors", "clutter_prior", "assignment")
-        for name, known in zip(names, RULES, strict=True):
-            if getattr(self, name) not in known:
-                raise ValueError(
-                    f"Pmht: {name} must be one of {', '.join(sorted(known))}; got {getattr(self, name)!r}. Choose one."
-                )
-        steps = np.asarray(self.annealing, dtype=np.float64)
-        if steps.ndim != 1 or not (np.isfinite(steps) & (steps >= 1)).all() or (np.diff(steps) > 0).any():
-            raise ValueError(
-                f"Pmht: annealing must hold factors >= 1 that never increase; got {self.annealing!r}. "
-                "Use for instance (16, 8, 4, 2)."
-            )
-        if not isinstance(self.adaptive, int | np.integer) or self.adaptive < 0:
-            raise ValueError(f"Pmht: adaptive must be an integer >= 0; got {self.adaptive!r}. Give iterations.")
-        if not (self.tolerance >= 0 and (self.gate is None or self.gate > 0)):
-            raise ValueError(
-                f"Pmht: tolerance must be >= 0 and gate > 0; got {self.tolerance!r}, {self.gate!r}. Use 1e-4, 25."
-            )
-        shares, scales = np.asarray(self._components[0]), np.asarray(self._components[1])
-        fits = shares.ndim == 1 and shares.shape == scales.shape and shares.size > 0
-        if not fits or not ((shares > 0).all() and (scales > 0).all() and abs(shares.sum() - 1) < 1e-9):
-            raise ValueError(
-                f"Pmht: homothetic must give as many shares > 0 that sum to 1 as factors > 0; got {self.homothetic!r}. "
-                "Use for instance ((0.6, 0.3, 0.1), (1, 4, 16))."
-            )
-        modes = len(self.modes)
-        if self.chain is not None and self.chain.modes != modes:
-            raise ValueError(
-                f"Pmht: chain must have one state per motion, {modes}; got {self.chain.modes}. Give one row per motion."
-            )
+            check_count(me, name, getattr(self, name), 1, remedy="Give a count.")
+        for name, known in zip(("priors", "clutter_prior", "assignment"), RULES, strict=True):
+            check_choice(me, name, getattr(self, name), known)
+        check_annealing(me, self.annealing)
+        check_count(me, "adaptive", self.adaptive, 0, remedy="Give iterations.")
+        check_number(me, "tolerance", self.tolerance, 0.0, least=True, remedy="Use 1e-4.")
+        if self.gate is not None:
+            check_number(me, "gate", self.gate, 0.0, infinite=True, remedy="Use 25, or None for none.")
+        check_homothetic(me, self.homothetic)
+        kinds = (Initiation, type(None))
+        check_kind(me, "initiation", self.initiation, kinds, "an Initiation, or None", "Use Initiation(speed=20.0).")
         _ = self.moving
+
+    @property
+    def _caller(self) -> str:
+        return "Pmht"
 
     @property
     def modes(self) -> tuple[Motion, ...]:
@@ -221,14 +207,18 @@ class Pmht:
             known: targets known beforehand.
 
         Raises:
-            ValueError: sensors, motion and known tracks of unlike space dimensions.
+            ValueError: no sensors, no time, or motion, sensors and known tracks of unlike space dimensions.
         """
-        all_sensors = (sensors,) if isinstance(sensors, ScanSensor) else tuple(sensors)
+        me = f"{self._caller}.start"
+        all_sensors = check_sensors(me, sensors)
+        kinds = (KnownTracks, type(None))
+        check_kind(me, "known", known, kinds, "KnownTracks, or None", "Give their mean, cov and time.")
+        check_number(me, "time", time, remedy="Give seconds.")
         axes, first = all_sensors[0].model.axes, self.modes[0]
         widths = {first.axes, axes, *(sensor.model.axes for sensor in all_sensors)}
         if len(widths) > 1 or (known is not None and known.mean.shape[1] != 2 * axes):
             raise ValueError(
-                f"Pmht.start: motion, sensors and known tracks must have the same space dimensions; got {widths}. "
+                f"{me}: motion, sensors and known tracks must have the same space dimensions; got {widths}. "
                 "Use 2 or 3 for all."
             )
         J, n, next_id = len(self.modes), first.size, 1
@@ -258,13 +248,13 @@ class Pmht:
             the new state and what was found.
 
         Raises:
-            ValueError: the scan is older than the last one, or of an unknown sensor.
+            ValueError: the scan is older than the last one, of an unknown sensor, or not what its sensor measures.
         """
-        if not (scan.time >= state.time and 0 <= scan.sensor < len(state.sensors)):
-            raise ValueError(
-                f"Pmht.step: scan must be of {state.time:g} s or later, sensor 0..{len(state.sensors) - 1}; got "
-                f"{scan.time:g} s, sensor {scan.sensor}. Sort scans by time, for instance with Scans.from_arrays."
-            )
+        check_scan(f"{self._caller}.step", scan, state.sensors, state.time)
+        return self._taken(state, scan)
+
+    def _taken(self, state: PmhtState, scan: Scan) -> tuple[PmhtState, Found]:
+        """`step` with a scan that has been checked."""
         window, tracks, retired = state.window, state.tracks, None
         if len(window.times) == self.window:
             retired = Outcome.of(self.moving, tracks, 0)
@@ -296,21 +286,27 @@ class Pmht:
         Returns:
             tracks as they stood at each scan, and smoothed by the scans that followed within the window.
         """
+        me = f"{self._caller}.run"
+        check_kind(me, "scans", scans, Scans, "Scans", "Make them with Scans.from_arrays or Scans.from_frame.")
         if not len(scans):
             return gather([], None, scans)
         state = self.start(scans.sensors, float(scans.times[0]), known)
+        if scans.times[0] < state.time:
+            raise ValueError(
+                f"{me}: known must be of {scans.times[0]:g} s, the first scan, or before; got {state.time:g} s. Leave "
+                "earlier scans out."
+            )
         found = []
         for scan in scans:
-            state, one = self.step(state, scan)
+            state, one = self._taken(state, scan)
             found.append(one)
         rest = [Outcome.of(self.moving, state.tracks, k) for k in range(len(state.window.times))]
         return gather(found, rest, scans)
 
     def _in_view(self, sensor: ScanSensor, scan: Scan, means: Array) -> Array:
-        if sensor.watches is None or not len(means):
-            return np.full(len(means), sensor.detection)
-        watched = sensor.watches(positions_of(self.moving, means), scan.sensor_state)
-        return np.where(watched, sensor.detection, 0.0)
+        if sensor.watches is None:
+            return np.full(len(means), float(sensor.detection))
+        return sensor.detected(positions_of(self.moving, means), scan.sensor_state)
 
     def gate_of(self, sensor: ScanSensor) -> float:
         """D^2 gate of a sensor; inf: none."""
@@ -338,6 +334,54 @@ class Pmht:
             self.extrinsic and self.assignment == "exclusive" and self.homothetic is None,
         )  # fmt: skip
         return Fit(*found)
+
+
+def check_motions(caller: str, motion: Motion | Sequence[Motion], chain: MarkovChain | None) -> tuple[Motion, ...]:
+    """One motion or several as a tuple, and a chain that fits them.
+
+    Raises:
+        ValueError: something else, or a chain of another number of modes.
+    """
+    every = (motion,) if isinstance(motion, Motion) else tuple(motion) if isinstance(motion, Sequence) else ()
+    if not every or not all(isinstance(one, Motion) for one in every):
+        raise ValueError(f"{caller}: motion must be one Motion, or several; got {motion!r}. Use constant_velocity().")
+    remedy = "Use MarkovChain.from_sojourns."
+    check_kind(caller, "chain", chain, (MarkovChain, type(None)), "a MarkovChain, or None", remedy)
+    if chain is not None and chain.modes != len(every):
+        raise ValueError(
+            f"{caller}: chain must have one state per motion, {len(every)}; got {chain.modes}. Give one row per motion."
+        )
+    return every
+
+
+def check_annealing(caller: str, annealing: tuple[float, ...]) -> None:
+    """Factors on R that never increase down to 1.
+
+    Raises:
+        ValueError: something else.
+    """
+    remedy = "Use for instance (16, 8, 4, 2)."
+    steps = check_array(caller, "annealing", annealing, remedy)
+    if steps.ndim != 1 or not (np.isfinite(steps) & (steps >= 1)).all() or (np.diff(steps) > 0).any():
+        raise ValueError(f"{caller}: annealing must hold factors >= 1 that never increase; got {annealing!r}. {remedy}")
+
+
+def check_homothetic(caller: str, homothetic: tuple[tuple[float, ...], tuple[float, ...]] | None) -> None:
+    """Shares and factors of a homothetic density; None: plain.
+
+    Raises:
+        ValueError: something else.
+    """
+    if homothetic is None:
+        return
+    remedy = "Use for instance ((0.6, 0.3, 0.1), (1, 4, 16))."
+    table = check_array(caller, "homothetic", homothetic, remedy)
+    good = table.ndim == 2 and len(table) == 2 and table.shape[1] > 0 and np.isfinite(table).all()
+    if not good or not (table > 0).all() or abs(table[0].sum() - 1) > 1e-9:
+        raise ValueError(
+            f"{caller}: homothetic must give as many shares > 0 that sum to 1 as factors > 0; got {homothetic!r}. "
+            f"{remedy}"
+        )
 
 
 def positions_of(moving: Moving, means: Array) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from jink.estimators.checks import check_kind
 from jink.estimators.multitarget.scan_sensor import ScanSensor
 from jink.estimators.multitarget.scans import Scans
 
@@ -35,8 +36,14 @@ def scans_from_frame(frame: pd.DataFrame, sensors: ScanSensor | Mapping[str, Sca
     Raises:
         ValueError: a missing column, a sensor that is not in ``sensors``, or a time that is not finite.
     """
-    named = {"": sensors} if isinstance(sensors, ScanSensor) else dict(sensors)
+    me = "Scans.from_frame"
+    check_kind(me, "frame", frame, pd.DataFrame, "a pandas DataFrame", "Read one, for instance with pd.read_csv.")
+    check_kind(me, "sensors", sensors, (ScanSensor, Mapping), "a ScanSensor, or some by name", "Use a dictionary.")
     single = isinstance(sensors, ScanSensor)
+    # Names may be numbers, in the table and here.
+    named = {"": sensors} if isinstance(sensors, ScanSensor) else {str(key): one for key, one in sensors.items()}
+    for label, one in named.items():
+        check_kind(me, f"sensors[{label!r}]", one, ScanSensor, "a ScanSensor", "Say how it measures.")
     if "t" not in frame.columns or not (single or "sensor" in frame.columns):
         raise ValueError(
             f"Scans.from_frame: frame must have the columns t and, for several sensors, sensor; got "

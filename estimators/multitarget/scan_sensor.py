@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from jink.estimators.checks import check_array, check_kind, check_number
 from jink.estimators.sensor import Sensor
 
 __all__ = ["ScanSensor"]
@@ -46,17 +47,21 @@ class ScanSensor:
     name: str = ""
 
     def __post_init__(self) -> None:
-        gate = 1.0 if self.gate is None else self.gate
-        for name, rule, good in (
-            ("detection", "be a probability > 0", 0 < self.detection <= 1),
-            ("clutter", "be finite and >= 0, false alarms per scan", 0 <= self.clutter < np.inf),
-            ("volume", "be finite and > 0, in units of the measurement", 0 < self.volume < np.inf),
-            ("gate", "be > 0, a squared distance in standard deviations", gate > 0),
-        ):
-            if not good:
-                raise ValueError(f"ScanSensor: {name} must {rule}; got {getattr(self, name)!r}. Use SI units.")
+        me = "ScanSensor"
+        check_kind(me, "model", self.model, Sensor, "a Sensor", "Use for instance position(2, 5.0).")
+        check_number(me, "detection", self.detection, 0.0, 1.0, remedy="Give a probability.")
+        check_number(me, "clutter", self.clutter, 0.0, least=True, remedy="Give false alarms per scan.")
+        check_number(me, "volume", self.volume, 0.0, remedy="Give the product of the extents, in SI units.")
+        if self.gate is not None:
+            remedy = "Give a squared distance in standard deviations, or None."
+            check_number(me, "gate", self.gate, 0.0, infinite=True, remedy=remedy)
+        if self.watches is not None and not callable(self.watches):
+            raise ValueError(
+                f"{me}: watches must be a function of positions and sensor state; got {self.watches!r}. Leave it out "
+                "where all targets are in view."
+            )
         size = self.model.size
-        noise = self.model.noise if self.noise is None else np.array(self.noise, dtype=np.float64)
+        noise = self.model.noise if self.noise is None else check_array(me, "noise", self.noise, "Give R.")
         if noise.shape != (size, size) or not is_covariance(noise):
             raise ValueError(
                 f"ScanSensor: noise must be a covariance of shape ({size}, {size}); got {noise.tolist()}. "
@@ -79,6 +84,30 @@ class ScanSensor:
     def size(self) -> int:
         """Number of measurement components D."""
         return self.model.size
+
+    def detected(self, positions: Array, sensor_state: Array) -> Array:
+        """P_D of each target, 0 out of view.
+
+        Args:
+            positions: of M targets, m; (M, A).
+            sensor_state: position then velocity of the sensor; (2 A,).
+
+        Returns:
+            (M,).
+
+        Raises:
+            ValueError: ``watches`` does not say yes or no to each target.
+        """
+        M = len(positions)
+        if self.watches is None or not M:
+            return np.full(M, float(self.detection))
+        watched = np.asarray(self.watches(positions, sensor_state))
+        if watched.shape != (M,):
+            raise ValueError(
+                f"ScanSensor: watches must return one truth value per target, shape ({M},); got shape {watched.shape}. "
+                "Compare along the last axis of the positions (M, A)."
+            )
+        return np.where(watched, float(self.detection), 0.0)
 
 
 def is_covariance(matrices: Array) -> bool:

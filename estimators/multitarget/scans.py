@@ -10,9 +10,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
+from jink.estimators.checks import check_array, check_kind
 from jink.estimators.multitarget.scan_sensor import ScanSensor, is_covariance
 
-__all__ = ["Cleaning", "Scan", "ScanSensor", "Scans"]
+__all__ = ["Cleaning", "Scan", "ScanSensor", "Scans", "check_scan", "check_sensors"]
 
 Array = NDArray[np.float64]
 ABSURD = 1e30
@@ -201,11 +202,15 @@ class Scans:
         Raises:
             ValueError: shapes that do not fit, or a time that is not finite.
         """
-        all_sensors = (sensors,) if isinstance(sensors, ScanSensor) else tuple(sensors)
-        clock = np.atleast_1d(np.asarray(times, dtype=np.float64))
-        K, D = len(clock), max((one.size for one in all_sensors), default=0)
-        owner = np.zeros(K, dtype=np.int64) if sensor is None else np.asarray(sensor, dtype=np.int64)
-        if len(detections) != K or owner.shape != (K,):
+        me = "Scans.from_arrays"
+        all_sensors = check_sensors(me, sensors)
+        clock = np.atleast_1d(check_array(me, "times", times, "Give seconds."))
+        K, D = len(clock), max(one.size for one in all_sensors)
+        owner = _indices(me, np.zeros(K) if sensor is None else sensor)
+        check_kind(
+            me, "detections", detections, (Sequence, np.ndarray), "one array per scan", "Put arrays (n, D) into a list."
+        )
+        if clock.ndim != 1 or len(detections) != K or owner.shape != (K,):
             raise ValueError(
                 f"Scans.from_arrays: detections and sensor must have one entry per time, {K}; got {len(detections)} "
                 f"and {owner.shape}. Give an empty array for an empty scan."
@@ -228,12 +233,10 @@ class Scans:
             rows.append(starts[k] + where)
             counts.append(len(kept))
             lost += gone
-        wide: Any = None if sensor_states is None else np.asarray(sensor_states, dtype=np.float64)
-        if wide is not None:
-            wide = np.array(np.broadcast_to(wide, (K, wide.shape[-1])))[order]
-        own: Any = None if noise is None else np.asarray(noise, dtype=np.float64)
-        if own is not None:
-            own = np.array(np.broadcast_to(own, (K, *own.shape[-2:])))[order]
+        wide: Any = None
+        if sensor_states is not None:
+            wide = _per_scan("sensor_states", sensor_states, K, (2 * all_sensors[0].model.axes,))[order]
+        own: Any = None if noise is None else _per_scan("noise", noise, K, (D, D))[order]
         return cls(
             times=clock[order],
             sensor=owner[order],
@@ -254,6 +257,79 @@ class Scans:
         return scans_from_frame(frame, sensors)
 
 
+def check_sensors(caller: str, sensors: Any) -> tuple[ScanSensor, ...]:
+    """One sensor or several, as a tuple of at least one.
+
+    Raises:
+        ValueError: none, or something else.
+    """
+    every = (sensors,) if isinstance(sensors, ScanSensor) else tuple(sensors) if isinstance(sensors, Sequence) else ()
+    if not every or not all(isinstance(one, ScanSensor) for one in every):
+        raise ValueError(
+            f"{caller}: sensors must be a ScanSensor, or at least one in a sequence; got {str(sensors)[:80]}. Use for "
+            "instance ScanSensor(position(2, 5.0))."
+        )
+    return every
+
+
+def check_scan(caller: str, scan: Any, sensors: Sequence[ScanSensor], time: float) -> None:
+    """Refuse a scan that `Scans` would not have given.
+
+    Args:
+        caller: named in the sentence.
+        scan: of one of the sensors.
+        sensors: that scan.
+        time: of the last scan, s.
+
+    Raises:
+        ValueError: another class, an older time, an unknown sensor, shapes that are not the sensor's, numbers that
+            are not finite, or a noise that is no covariance.
+    """
+    check_kind(caller, "scan", scan, Scan, "a Scan", "Take it from Scans.from_arrays.")
+    remedy = "Take it from Scans.from_arrays."
+    known = isinstance(scan.sensor, int | np.integer) and 0 <= scan.sensor < len(sensors)
+    if not (scan.time >= time and known):
+        raise ValueError(
+            f"{caller}: scan must be of {time:g} s or later, sensor 0..{len(sensors) - 1}; got {scan.time} s, sensor "
+            f"{scan.sensor}. Sort scans by time, for instance with Scans.from_arrays."
+        )
+    d, width = sensors[scan.sensor].size, 2 * sensors[scan.sensor].model.axes
+    for name, shape in (("detections", (-1, d)), ("sensor_state", (width,)), ("noise", (d, d))):
+        value = np.asarray(getattr(scan, name))
+        wrong = value.ndim != len(shape) or any(w not in (-1, h) for w, h in zip(shape, value.shape, strict=True))
+        if wrong:
+            wanted = str(shape).replace("-1", "n")
+            raise ValueError(f"{caller}: {name} of the scan must have shape {wanted}; got {value.shape}. {remedy}")
+    if not ((np.abs(scan.detections) < ABSURD).all() and np.isfinite(scan.sensor_state).all()):
+        raise ValueError(
+            f"{caller}: scan must have detections and a sensor state that are finite and below {ABSURD:g}; got others. "
+            f"{remedy}"
+        )
+    if not is_covariance(scan.noise):
+        raise ValueError(
+            f"{caller}: noise of the scan must be a covariance; got {np.asarray(scan.noise).tolist()}. Put variances "
+            "on its diagonal."
+        )
+
+
+def _indices(caller: str, given: ArrayLike) -> NDArray[np.int64]:
+    values = check_array(caller, "sensor", given, "Give the index of each scan's sensor.")
+    if (values != np.floor(values)).any():
+        raise ValueError(f"{caller}: sensor must hold whole numbers; got {values.tolist()[:10]}. Count sensors from 0.")
+    return values.astype(np.int64)
+
+
+def _per_scan(name: str, given: ArrayLike, K: int, shape: tuple[int, ...]) -> Array:
+    """One for all scans or one for each, as one for each."""
+    values = check_array("Scans.from_arrays", name, given, "Give numbers.")
+    if values.shape not in (shape, (K, *shape), (1, *shape)):
+        raise ValueError(
+            f"Scans.from_arrays: {name} must have shape {shape} or {(K, *shape)}; got {values.shape}. One for all "
+            "scans, or one per scan."
+        )
+    return np.array(np.broadcast_to(values, (K, *shape)))
+
+
 def _padded(sensor: ScanSensor, size: int) -> Array:
     noise = np.eye(size)
     noise[: sensor.size, : sensor.size] = sensor.noise
@@ -262,7 +338,7 @@ def _padded(sensor: ScanSensor, size: int) -> Array:
 
 def _measured(part: ArrayLike, own: int, wide: int, k: int, padded: bool) -> Array:
     """Detections (n, wide) of one scan, zeros beyond the sensor's own components."""
-    values = np.asarray(part, dtype=np.float64)
+    values = check_array("Scans.from_arrays", f"detections of scan {k}", part, "Give rows of components.")
     values = values.reshape(-1, own) if values.size == 0 else np.atleast_2d(values)
     if values.ndim != 2 or values.shape[1] < own or (values.shape[1] > own and not padded):
         raise ValueError(

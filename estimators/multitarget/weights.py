@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jink.estimators.checks import check_array
+
 __all__ = ["check_weights", "metropolis_weights", "second_eigenvalue"]
 
 Array = NDArray[np.float64]
@@ -24,7 +26,7 @@ def metropolis_weights(adjacency: ArrayLike) -> Array:
         ValueError: not square or not symmetric.
     Source: Xiao, Boyd (2004). Differs: none.
     """
-    linked = np.array(adjacency, dtype=bool)
+    linked = check_array("metropolis_weights", "adjacency", adjacency, "Give one row per node.") != 0
     if linked.ndim != 2 or linked.shape[0] != linked.shape[1] or (linked != linked.T).any():
         raise ValueError(
             f"metropolis_weights: adjacency must be symmetric with shape (N, N); got shape {linked.shape}. "
@@ -59,10 +61,10 @@ def check_weights(weights: ArrayLike, adjacency: ArrayLike | None = None) -> Arr
         ValueError: not square and finite, a negative entry, a row that does not sum to 1 within 1e-9, a pattern that
             is not primitive, or a weight between nodes that are not linked.
     """
-    matrix = np.array(weights, dtype=np.float64)
-    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not np.isfinite(matrix).all():
+    matrix = check_array("check_weights", "weights", weights, "Give one row and one column per node.")
+    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not matrix.size or not np.isfinite(matrix).all():
         raise ValueError(
-            f"check_weights: weights must be finite with shape (N, N); got shape {matrix.shape}. "
+            f"check_weights: weights must be finite with shape (N, N), N >= 1; got shape {matrix.shape}. "
             "Give one row and one column per node."
         )
     if (matrix < 0).any() or np.abs(matrix.sum(axis=1) - 1).max(initial=0) > 1e-9:
