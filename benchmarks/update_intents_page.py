@@ -1,6 +1,6 @@
 """Train the models that ship with the package, and write the table and the pictures of the page on intents.
 
-    python benchmarks/update_intents_page.py [--train [NAME ...]] [--pictures]
+    python benchmarks/update_intents_page.py [--train [NAME ...]] [--durations] [--pictures]
 
 The table stands between markers in docs/intents.md and comes from the models; a test compares them.
 """
@@ -18,11 +18,15 @@ import numpy as np
 from jink.envs.scenarios import make_scenario
 from jink.envs.simulate import simulate_tracks
 from jink.estimators.recipes import make_estimator
+from jink.intent.endings import with_endings
 from jink.intent.forecasting import forecast
+from jink.intent.model_file import save_model
 from jink.intent.pretrained import load_pretrained, pretrained_names
 from jink.training.cli import main as jink
 from jink.training.forecast_pictures import plot_forecast
 from jink.training.intent_pictures import draw_model
+from jink.training.pooling import gather
+from jink.training.track import TrackRequest
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "intents.md"
@@ -71,6 +75,19 @@ def train(names):
                     shutil.copy(file, FOLDER / name)
 
 
+def count_durations():
+    """Give models that were trained before durations were counted those of the tracks they learned from."""
+    for name in pretrained_names():
+        model = load_pretrained(name)
+        if not model.endings:
+            scenario, *options = TRAININGS[name]
+            given = dict(zip(options[::2], map(int, options[1::2]), strict=True))
+            tracks = gather(
+                (scenario,), TrackRequest(file=Path()), count=given["--tracks"], steps=given["--steps"], seed=0
+            )
+            save_model(with_endings(model, tracks), FOLDER / name)
+
+
 def draw():
     """The model, a forecast, and a flight with its labels."""
     model = load_pretrained(SHOWN)
@@ -95,10 +112,15 @@ def draw():
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--train", nargs="*", metavar="NAME", choices=TRAININGS, help="models to train; none: all")
+    parser.add_argument(
+        "--durations", action="store_true", help="count durations where a model has none"
+    )
     parser.add_argument("--pictures", action="store_true", help="draw the pictures")
     given = parser.parse_args()
     if given.train is not None:
         train(given.train or TRAININGS)
+    if given.durations:
+        count_durations()
     if given.pictures:
         draw()
     PAGE.write_text(put(PAGE.read_text(encoding="utf-8"), "models", table()), encoding="utf-8")

@@ -394,7 +394,7 @@ def test_sensors_that_do_not_locate_are_refused(kind):
     [
         ({"factors": ("none", "mrr")}, "make_factor: name must be one of none, mr"),
         ({"factors": ("none",)}, "make: factors must be at least two; got 1"),
-        ({"reward": "gold"}, "make: reward must be one of distance, squared, log; got 'gold'"),
+        ({"reward": "gold"}, "make: reward must be one of distance, squared, log, regret, log-regret; got 'gold'"),
         ({"loop_filter": "ukf"}, "make: loop_filter must be one of kf, robust"),
         ({"loop_filter": robust(np.zeros((6, 1)), np.zeros((1, 6)))}, "make: loop_filter must be for 2 axes"),
         ({"lost_steps": 0}, "make: lost_after must be > 0 sigma"),

@@ -623,8 +623,17 @@ def test_the_grid_breaks_into_tables_that_fit():
 # Files.
 
 
-def bench_process(out, *more, **options):
-    code = "import sys; from jink.training.cli import main; sys.exit(main(sys.argv[1:]))"
+SLOWED = """
+import time
+from jink.training.row_writer import RowWriter
+add = RowWriter.add
+RowWriter.add = lambda writer, rows: (add(writer, rows), time.sleep(1.0))
+"""
+
+
+def bench_process(out, *more, slowed=False, **options):
+    """The command in a process of its own; slowed: it rests a second after each cell, so that it can be stopped."""
+    code = f"{SLOWED if slowed else ''}import sys; from jink.training.cli import main; sys.exit(main(sys.argv[1:]))"
     given = [str(word) for word in ("bench", *words(runs=60, estimators=("truth", *QUICK)), "--out", out, *more)]
     return subprocess.Popen(
         [sys.executable, "-c", code, *given], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
@@ -651,7 +660,7 @@ def whole(tmp_path_factory):
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
 def test_a_stopped_run_goes_on_without_losing_or_doubling_rows(tmp_path, whole, number):
     out = tmp_path / "rows.parquet"
-    process = bench_process(out)
+    process = bench_process(out, slowed=True)
     wait_for_rows(out, process)
     process.send_signal(number)
     _, errors = process.communicate(timeout=120)

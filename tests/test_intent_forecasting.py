@@ -284,7 +284,7 @@ def test_refusals(ways, single):
     for count in (0, 4):
         with pytest.raises(ValueError, match=r"count must be in 1 \.\. 3"):
             ways.min_ade(np.zeros((1, 2, 2)), count)
-    with pytest.raises(ValueError, match="paths must be >= 0"):
+    with pytest.raises(ValueError, match="paths must be an integer >= 0"):
         forecast(estimator, state, [1.0], paths=-1)
     ranges = Tracks.from_arrays(np.ones((20, 1)), np.arange(20.0), sensor="range", axes=2)
     with pytest.raises(ValueError, match="tracks must have truth or positions"):

@@ -228,7 +228,7 @@ def test_the_noise_given_to_a_learner_is_that_of_its_bank(tracks: Tracks, learne
     given = IntentLearner(seed=3, noise_sd=SIGMA, **QUICK)
     given.model_ = learner.model_
     np.testing.assert_array_equal(given.segment(bare).probs, learner.segment(tracks).probs)
-    assert given.bank().sensor == position(2, SIGMA)
+    np.testing.assert_array_equal(given.bank().sensor.noise, position(2, SIGMA).noise)
 
 
 @pytest.mark.parametrize(

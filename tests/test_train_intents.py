@@ -317,7 +317,7 @@ def test_tensorboard_is_used_where_it_is_installed(tmp_path, monkeypatch):
         def close(self):
             written.append("closed")
 
-    monkeypatch.setattr(training_log, "_board", lambda folder: Board())
+    monkeypatch.setattr(training_log, "make_board", lambda folder: Board())
     with TrainingLog(tmp_path / "p.jsonl", tmp_path / "board") as log:
         log(Progress("fit", 1, 4, 3, -8.0))
     assert written == [("fit/nats per row", -8.0, 1), ("fit/intents", 3, 1), "closed"]

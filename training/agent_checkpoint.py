@@ -94,12 +94,11 @@ def _read_state(path: Path) -> dict[str, Any]:
     """The state, if it is as it was written."""
     try:
         found = json.loads(path.read_bytes())
-        whole = isinstance(found, dict) and found.pop("check") == _digest(found)
-    except (ValueError, KeyError, OSError):
-        whole = False
-    if not whole:
+    except (ValueError, OSError):
+        raise _damaged(path) from None
+    if not isinstance(found, dict) or found.pop("check", None) != _digest(found):
         raise _damaged(path)
-    return dict(found)
+    return found
 
 
 def _read_tensors(path: Path, sha256: str) -> dict[str, torch.Tensor]:
