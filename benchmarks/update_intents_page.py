@@ -112,9 +112,7 @@ def draw():
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--train", nargs="*", metavar="NAME", choices=TRAININGS, help="models to train; none: all")
-    parser.add_argument(
-        "--durations", action="store_true", help="count durations where a model has none"
-    )
+    parser.add_argument("--durations", action="store_true", help="count durations where a model has none")
     parser.add_argument("--pictures", action="store_true", help="draw the pictures")
     given = parser.parse_args()
     if given.train is not None:

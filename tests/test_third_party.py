@@ -210,17 +210,6 @@ def test_who_looks_ahead_gets_no_row(tmp_path, capsys):
     assert "later measurements change" in " ".join(capsys.readouterr().out.split())
 
 
-def test_only_looking_ahead_is_refused_as_such(tmp_path):
-    from jink.envs.scenarios import make_scenario
-    from jink.training.third_party import load_estimator, looks_ahead
-
-    scenario = make_scenario("surge-25-bursts-v0")
-    batch = "def run(self, measurements, times): return np.nan_to_num(measurements)"
-    noisy = "def run(self, measurements, times): return measurements + np.random.normal(size=measurements.shape)"
-    for how in (batch, noisy, BROKEN["state is a value"]):
-        assert looks_ahead(load_estimator(broken(tmp_path, how), scenario), scenario) == ""
-
-
 # --- loading
 
 
