@@ -1,24 +1,17 @@
-"""Training throughput: the agent's environment against stable-baselines3's own ceiling, and small minibatches.
+"""Training throughput: the agent's environment against stable-baselines3's own ceiling.
 
 The ceiling is the same training (network, batch, passes) on a native vector environment with the same spaces that does
 nothing: fixed observations, no reward, an episode's end now and then. Rounds alternate; processor time, so that other
-work on the machine counts for neither. ``--default-minibatches`` trains from nothing instead, with the batches that
-stable-baselines3 has by default (8 environments, 2048 steps, minibatches of 64, ten passes) and with large ones (1024
-environments, 32 steps, minibatches of 4096, 8192 and 16 384, four passes) for the same number of steps, and with ours
-for ``--longer`` times as many; it prints the validation score against steps and processor time (evaluations included).
+work on the machine counts for neither. Whether large batches learn as well as small ones: `agent_batches.py`.
 
 python benchmarks/training_speed.py
-python benchmarks/training_speed.py --default-minibatches 327680 --seeds 3
 """
 
 from __future__ import annotations
 
 import argparse
 import statistics
-import tempfile
 import time
-from dataclasses import replace
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -27,7 +20,6 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 
 from jink.training import sb3
 from jink.training.agent_config import AgentConfig
-from jink.training.train_agent import train_agent
 
 
 class Idle(VectorEnv):
@@ -66,51 +58,13 @@ def rate(model: Any, steps: int) -> float:
     return float((model.num_timesteps - before) / (time.process_time() - began))
 
 
-def compare_batches(steps: int, seeds: int, longer: int) -> None:
-    """Train from nothing with batches of both kinds; print scores against steps and processor time, seeds together."""
-    ours = replace(AgentConfig(), steps=steps, rounds=5, warm_start="none")
-    ways = {
-        "8192 of 1024 x 32, 4 passes": ours,
-        "4096 of 1024 x 32, 4 passes": replace(ours, minibatch=4096),
-        "16384 of 1024 x 32, 4 passes": replace(ours, minibatch=16384),
-        "64 of 8 x 2048, 10 passes": replace(ours, environments=8, horizon=2048, minibatch=64, epochs=10),
-        "8192 of 1024 x 32, longer": replace(ours, steps=steps * longer),
-    }
-    with tempfile.TemporaryDirectory() as folder:  # kernels are loaded before anything is measured
-        train_agent(replace(ours, steps=32_768, rounds=1, critic_first=0.0), Path(folder) / "x", tensorboard=False)
-    for name, way in ways.items():
-        found: list[list[tuple[int, float, float]]] = []
-        for seed in range(seeds):
-            rows: list[tuple[int, float, float]] = []
-            began = time.process_time()
-            with tempfile.TemporaryDirectory() as folder:
-                train_agent(
-                    replace(way, seed=seed), Path(folder) / "x", tensorboard=False,
-                    progress=lambda row, rows=rows, began=began: rows.append(
-                        (row.steps, row.score, time.process_time() - began)
-                    ),
-                )  # fmt: skip
-            found.append(rows)
-        print(name)
-        for rows_of_round in zip(*found, strict=True):
-            scores = ", ".join(f"{score:.3f}" for _, score, _ in rows_of_round)
-            spent = statistics.median(seconds for _, _, seconds in rows_of_round)
-            print(f"  {rows_of_round[0][0]} steps, {spent:.0f} s: scores {scores}", flush=True)
-
-
 def main() -> None:
     """Measure and print."""
     made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("--rounds", type=int, default=5)
     made.add_argument("--steps", type=int, default=131_072, help="of a round")
-    made.add_argument("--default-minibatches", type=int, metavar="STEPS", help="train so many steps from nothing")
-    made.add_argument("--seeds", type=int, default=3, help="of these trainings")
-    made.add_argument("--longer", type=int, default=8, help="times the steps, of ours once more")
     given = made.parse_args()
     torch.set_num_threads(1)
-    if given.default_minibatches:
-        compare_batches(given.default_minibatches, given.seeds, given.longer)
-        return
     config = AgentConfig()
     env = sb3.make_env(config)
     ours, ceiling = sb3.make_model(config, env), sb3.make_model(config, sb3.NativeVecEnv(Idle(env, env.num_envs)))

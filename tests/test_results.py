@@ -2,6 +2,7 @@
 
 import importlib
 import importlib.util
+import json
 import math
 import re
 from pathlib import Path
@@ -298,3 +299,19 @@ def test_tables_of_the_learner_are_its_rows(world, monkeypatch, capsys):
     page = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
     block = re.search(rf"<!-- learn-{world}:start -->\n(.*?)<!-- learn-{world}:end -->", page, flags=re.S)
     assert [line for line in block[1].splitlines() if line] == capsys.readouterr().out.splitlines()
+
+
+@pytest.mark.parametrize("name", ["agent_batches"])
+def test_tables_of_trainings_are_those_of_the_rows(name, monkeypatch):
+    pytest.importorskip("stable_baselines3")
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    script = importlib.import_module(name)
+    kept = json.loads((ROWS / f"{name}.json").read_text(encoding="utf-8"))
+    page = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    marker = name.replace("_", "-")
+    block = re.search(rf"<!-- {marker}:start -->\n(.*?)<!-- {marker}:end -->", page, flags=re.S)
+    assert [line for line in block[1].splitlines() if line] == [line for line in script.table(kept) if line]
+    assert kept["command"] in page
+    if name == "agent_batches":
+        head = (ROOT / "docs" / "pictures" / "agent_batches.png").read_bytes()[:2000]
+        assert script.digest(kept).encode() in head

@@ -24,7 +24,7 @@ from jink.training.agent_config import AgentConfig  # noqa: E402
 from jink.training.agent_scores import interquartile_mean, make_source, play_episodes, score, simulate_seeds  # noqa: E402
 from jink.training.agent_warm_start import advised_actions  # noqa: E402
 from jink.training.cli import main  # noqa: E402
-from jink.training.train_agent import CHECKPOINT, train_agent  # noqa: E402
+from jink.training.train_agent import CHECKPOINT, TEST_SEED, VALIDATION_SEED, train_agent  # noqa: E402
 
 SHORT = {
     "suite": None, "scenario": "surge-v0", "steps": 4096, "environments": 32, "horizon": 16, "minibatch": 256,
@@ -154,6 +154,18 @@ def test_same_seed_same_bits_other_seed_other_bits(tmp_path):
     assert report.finished_before and len(report.rounds) == 4
     with pytest.raises(ValueError, match="--out: folder must not hold an agent of other options"):
         train_agent(AgentConfig(**SHORT, seed=2), tmp_path / "a", tensorboard=False)
+
+
+def test_episodes_of_seeds_and_rounds_and_of_evaluations_never_meet(tmp_path, monkeypatch):
+    firsts, seed_env = [], sb3.NativeVecEnv.seed
+    monkeypatch.setattr(sb3.NativeVecEnv, "seed", lambda env, seed=None: firsts.append(seed) or seed_env(env, seed))
+    for seed in (1, 2):
+        train_agent(AgentConfig(**SHORT, seed=seed), tmp_path / str(seed), tensorboard=False)
+    assert firsts.count(None) == 0
+    firsts = [first for first in firsts if first > 2]  # stable-baselines3 seeds the environment with the model's
+    drawn = [set(range(first, first + SHORT["environments"])) for first in firsts]
+    drawn += [set(range(first, first + 10_000)) for first in (VALIDATION_SEED, TEST_SEED)]
+    assert len(firsts) == 2 * SHORT["rounds"] and len(set.union(*drawn)) == sum(map(len, drawn))
 
 
 @pytest.mark.parametrize("options", [{}, {"discrete": True, "algorithm": "dqn", "minibatch": 64}])

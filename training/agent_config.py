@@ -12,6 +12,7 @@ from jink.envs.scenarios import SCENARIOS, SUITES
 from jink.estimators.agent.looking import VIEWS
 from jink.estimators.agent.policy import COVARIANCES
 from jink.estimators.factors import FACTORS
+from jink.training.agent_seen import GROUPS
 
 __all__ = ["ALGORITHMS", "REWARDS", "TRAIN_EVERY", "WARM_STARTS", "AgentConfig", "refuse_idle"]
 
@@ -65,6 +66,7 @@ class AgentConfig:
         entropy: weight of the entropy.
         hidden: units of each of the two layers.
         view, covariance, factors, reward, least_gain: of the environment, see `AdaptiveFactorTask`.
+        unseen: groups of the view ``levels`` that are hidden from the network, see `GROUPS`.
         warm_start: before learning the network copies ``advice`` (the inflation whose gain is the posterior mean),
             the ``oracle``'s inflation, or nothing; continuous only.
         informed: while learning, the critic sees the truth (errors, true noise); the agent never does; ppo only.
@@ -95,6 +97,7 @@ class AgentConfig:
     entropy: float = 0.0
     hidden: int = 64
     view: str = "levels"
+    unseen: tuple[str, ...] = ()
     covariance: str = "mixture"
     factors: tuple[str, ...] = FACTORS_OFFERED
     reward: str = "log-regret"
@@ -129,6 +132,9 @@ class AgentConfig:
                 _refuse(name, f"be one of {', '.join(known)}", repr(getattr(self, name)), "Pick one.")
         if self.algorithm == "dqn" and not self.discrete:
             _refuse("algorithm", "be ppo or recurrent-ppo for an inflation", "'dqn'", "Add --discrete.")
+        if self.unseen and (self.view != "levels" or not set(self.unseen) < set(GROUPS)):
+            rule = f"be some, not all, of {', '.join(GROUPS)}, of the view levels"
+            _refuse("unseen", rule, self.unseen, "Leave it out if in doubt.")
         if not isinstance(self.informed, bool):
             _refuse("informed", "be True or False", repr(self.informed), "Leave it out if in doubt.")
         object.__setattr__(self, "informed", self.informed and self.algorithm == "ppo")

@@ -42,6 +42,9 @@ def train_agent_command(
     view: Annotated[
         str | None, typer.Option(help="What it sees: levels (default) or plain.", rich_help_panel=_TASK)
     ] = None,
+    unseen: Annotated[
+        str | None, typer.Option(help="Groups of the view levels to hide, comma between.", rich_help_panel=_TASK)
+    ] = None,
     covariance: Annotated[str | None, typer.Option(help="mixture (default) or chosen.", rich_help_panel=_TASK)] = None,
     factors: Annotated[
         str | None, typer.Option(help="Of --discrete: names of 'jink list', comma between.", rich_help_panel=_TASK)
@@ -92,6 +95,7 @@ def train_agent_command(
         "learning_rate": learning_rate, "discount": discount, "hidden": hidden, "rounds": rounds,
         "warm_start": warm_start,
         "factors": None if factors is None else tuple(name.strip() for name in factors.split(",")),
+        "unseen": None if unseen is None else tuple(name.strip() for name in unseen.split(",")),
     }  # fmt: skip
     options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     if view == "plain" and covariance is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ __all__ = [
     "TOLD",
     "NativeVecEnv",
     "Standardised",
+    "act_with_memory",
     "critic_only",
     "export_policy",
     "follow_advice",
@@ -287,6 +288,18 @@ def action_layers(model: Any) -> list[torch.nn.Linear]:
     else:
         parts = [policy.mlp_extractor.policy_net, policy.action_net]
     return [layer for part in parts for layer in part.modules() if isinstance(layer, torch.nn.Linear)]
+
+
+def act_with_memory(model: Any) -> Callable[[NDArray[Any], NDArray[np.bool_]], NDArray[Any]]:
+    """Deterministic actions of a recurrent model for observations (B, F) and whether they are first (B,)."""
+    memory: Any = None
+
+    def act(observations: NDArray[Any], first: NDArray[np.bool_]) -> NDArray[Any]:
+        nonlocal memory
+        actions, memory = model.predict(observations, state=memory, episode_start=first, deterministic=True)
+        return np.asarray(actions)
+
+    return act
 
 
 def export_policy(model: Any, config: AgentConfig, about: dict[str, Any]) -> Policy:

@@ -18,6 +18,7 @@ from jink.estimators.agent.policy import Policy
 from jink.estimators.agent.policy_file import POLICY_FILE, load_policy, replace_file, save_policy
 from jink.training.agent_config import AgentConfig
 from jink.training.agent_scores import interquartile_mean, make_source, play_episodes, score, simulate_seeds
+from jink.training.agent_seen import shown_columns
 
 __all__ = ["AgentReport", "Round", "train_agent"]
 
@@ -239,10 +240,13 @@ def _copy_first(config: AgentConfig, model: Any) -> None:
 
     examples = gather_examples(config, TRAINING_SEED + config.seed * _SEEDS_A_RUN - _SEEDS_A_ROUND)
     spread = examples.features.std(axis=0)
-    sb3.set_scales(model, examples.features.mean(axis=0), np.where(spread > 1e-3, 1.0 / np.maximum(spread, 1e-3), 1.0))
-    if config.algorithm == "ppo" and config.copies == "advice":
+    gain = np.where(spread > 1e-3, 1.0 / np.maximum(spread, 1e-3), 1.0)
+    if config.unseen:
+        gain *= shown_columns(config.unseen)
+    sb3.set_scales(model, examples.features.mean(axis=0), gain)
+    if config.copies == "advice" and "advice" not in config.unseen:
         sb3.follow_advice(model, _ADVICE)
-    elif config.algorithm == "ppo" and config.copies == "oracle":
+    elif config.copies != "none":
         imitate(model, examples, config.seed)
 
 
@@ -251,12 +255,7 @@ def _judge(config: AgentConfig, model: Any, source: Any, judged: Any) -> tuple[f
     from jink.training import sb3
 
     if config.algorithm == "recurrent-ppo":
-        memory: list[Any] = [None]
-
-        def act(observations: Any, first: Any) -> Any:
-            actions, memory[0] = model.predict(observations, state=memory[0], episode_start=first, deterministic=True)
-            return actions
-
+        act = sb3.act_with_memory(model)
         played = play_episodes(act, source, judged, continuous=not config.discrete, **config.environment())
     else:
         options = {**config.environment()}
