@@ -63,7 +63,7 @@ def learn(config: AgentConfig) -> list[dict[str, float]]:
 
 
 def reached(seeds: dict[str, list[dict[str, float]]], what: str, budget: float) -> str:
-    """Scores of the seeds after the last round that ended within so many steps or seconds (``what``), 5 % more tolerated."""
+    """Scores of the seeds after the last round that ended within 1.05 times so many steps or seconds (``what``)."""
     scores = []
     for rows in seeds.values():
         within = [row["score"] for row in rows if row[what] <= 1.05 * budget]
