@@ -20,11 +20,13 @@ from jink.estimators.agent import looking
 from jink.estimators.agent.policy import COVARIANCES
 from jink.estimators.factors import Factor, make_factor
 
-__all__ = ["FACTORS_OFFERED", "LARGEST_LOG_INFLATION", "AdaptiveFactorTask"]
+__all__ = ["FACTORS_OFFERED", "LARGEST_LOG_INFLATION", "TOLD", "AdaptiveFactorTask"]
 
 FACTORS_OFFERED = ("none", "mr", "huber", "rma", "mahalanobis")
 """Actions of `jink/AdaptiveFactor-v0`, in order."""
 LARGEST_LOG_INFLATION = looking.LARGEST_LOG_INFLATION
+TOLD = kernels.TOLD
+"""Columns that ``informed=True`` appends to an observation."""
 _LOSSES = {
     "distance": kernels.DISTANCE,
     "squared": kernels.SQUARED,
@@ -80,6 +82,11 @@ class AdaptiveFactorTask:
     | advice | 1 | log inflation (over ln 1e6) whose gain is the mean over the belief | 0 .. 1 |
     | last inflation | 1 | log inflation used with the last measurement, over ln 1e6 | 0 .. 1 |
 
+    ``informed=True`` appends five numbers that only a simulator knows, within -30 .. 30, for the critic of an
+    actor-critic algorithm; an actor must not see them: ``ln(0.01 + e / sigma)`` of the errors e of the agent and of
+    the oracle in the last decision, the logarithm of the true factor on the noise, ``ln c`` (see *Rewards*), and
+    ``(e_agent - e_oracle) / (sigma c)``. They are 0 where the truth is not known.
+
     With ``covariance="mixture"`` the agent's filter becomes as sure of its estimate as that belief allows, instead of
     as sure as the noise chosen says; action -1 is then not exactly the nominal filter.
 
@@ -113,9 +120,9 @@ class AdaptiveFactorTask:
     ## Arguments
     ``scenario``, ``suite`` or ``tracks`` choose what happens, other keywords change the scenario's parameters.
     ``factors``, ``loop_filter`` ("kf", "robust", or a `jink.envs.loop_filter.LoopFilter`), ``reward``, ``least_gain``
-    (default 0.1), ``lost_after`` (default 25), ``lost_steps`` (default 10), ``view`` and ``covariance``. The filter is
-    linear: measurements of range and angle are converted to positions with their exact moments beforehand; sensors
-    that do not locate a target are refused.
+    (default 0.1), ``lost_after`` (default 25), ``lost_steps`` (default 10), ``view``, ``covariance`` and ``informed``.
+    The filter is linear: measurements of range and angle are converted to positions with their exact moments
+    beforehand; sensors that do not locate a target are refused.
 
     ## Info
     Of the sample observed: ``time`` s, ``noise_scale`` (the true factor on the noise covariance), ``intent`` (its
@@ -138,6 +145,7 @@ class AdaptiveFactorTask:
         least_gain: what rewards are divided by at least, sigma.
         view: "plain" or "levels": what is observed.
         covariance: "chosen" or "mixture": how sure an update makes the agent's filter.
+        informed: append what only a simulator knows, for a critic.
 
     Raises:
         ValueError: an unknown name, an option out of range, or a sensor that does not locate.
@@ -157,6 +165,7 @@ class AdaptiveFactorTask:
         least_gain: float = _LEAST_GAIN,
         view: str = "plain",
         covariance: str = "chosen",
+        informed: bool = False,
     ) -> None:
         check_locates("make", source.sensor)
         if reward not in _LOSSES:
@@ -176,7 +185,9 @@ class AdaptiveFactorTask:
                 f"make: covariance must be one of {', '.join(COVARIANCES)}, mixture only with view levels; got "
                 f"{covariance!r} with view {view!r}. Leave it out if in doubt."
             )
-        self.view, self.covariance = view, covariance
+        if not isinstance(informed, bool):
+            raise ValueError(f"make: informed must be True or False; got {informed!r}. Leave it out if in doubt.")
+        self.view, self.covariance, self.informed = view, covariance, informed
         self.source, self.count, self.continuous = source, int(count), bool(continuous)
         self.factors = tuple(make_factor(factor) if isinstance(factor, str) else factor for factor in factors)
         if not continuous and len(self.factors) < 2:
@@ -184,7 +195,7 @@ class AdaptiveFactorTask:
         self.loop_filter = make_loop_filter(loop_filter, source.axes)
         A, B, T, modes = source.axes, self.count, source.steps, len(self.loop_filter.modes)
         choices = 0 if continuous else len(self.factors)
-        self.observation_space = gymnasium.spaces.Box(*_bounds(view, A, modes, choices), dtype=np.float32)
+        self.observation_space = gymnasium.spaces.Box(*_bounds(view, A, modes, choices, informed), dtype=np.float32)
         self.action_space: gymnasium.Space[Any] = (
             gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32) if continuous else gymnasium.spaces.Discrete(choices)
         )
@@ -194,7 +205,7 @@ class AdaptiveFactorTask:
         self._settings = np.array(
             [
                 lost_after, lost_steps, _LOWEST, _HIGHEST, _LOSSES[reward], least_gain, looking.VIEWS[view],
-                covariance == "mixture",
+                covariance == "mixture", informed,
             ],
             dtype=np.float64,
         )  # fmt: skip
@@ -202,6 +213,7 @@ class AdaptiveFactorTask:
         self._samples = np.zeros((T, B, kernels.FIRST + 3 * A))
         self._memory = np.zeros((B, kernels.PLACE + 2 * A))
         self._looks = np.zeros((B, looking.memory_size(A)))
+        self._bases = np.zeros((B, A + 2, 8))
         self._features = np.zeros((B, self.observation_space.shape[0]), dtype=np.float32)
         self._noises = np.zeros((1, 1, A * A))
         self._ones = np.ones(B)
@@ -283,7 +295,8 @@ class AdaptiveFactorTask:
             kernels.begin_rows, len(rows), rows, A, modes, choices, self._filters, self._params, self._settings,
             *inputs, priors,
             self._noises, self._one_noise, self._states,
-            np.empty((2, T, kernels.FIRST + 3 * A)), self._samples, self._memory, self._looks, self._features,
+            np.empty((2, T, kernels.FIRST + 3 * A)), self._samples, self._memory, self._looks, self._bases,
+            self._features,
         )  # fmt: skip
 
     def end_early(self, rows: Rows, ends: Rows) -> None:
@@ -302,7 +315,7 @@ class AdaptiveFactorTask:
         in_halves(
             kernels.step_rows, self.count, live, k, self._ends, chosen, inflations, A, modes, choices, self._filters,
             self._addresses, self._thresholds, self._params, self._settings, self._noises, self._one_noise,
-            self._states, self._samples, self._memory, self._looks, self._features, reward, lost,
+            self._states, self._samples, self._memory, self._looks, self._bases, self._features, reward, lost,
         )  # fmt: skip
         return Outcome(reward, lost)
 
@@ -373,13 +386,16 @@ def _own(array: NDArray[Any]) -> NDArray[Any]:
     return np.require(array, requirements=["C", "W"])
 
 
-def _bounds(view: str, A: int, modes: int, choices: int) -> tuple[Array, Array]:
+def _bounds(view: str, A: int, modes: int, choices: int, informed: bool) -> tuple[Array, Array]:
     low, high = looking.view_bounds(looking.VIEWS[view], A)
     last = max(choices, 1) if view == "plain" else 0
     low = np.concatenate([low, np.zeros(modes + last)])
     high = np.concatenate([high, np.ones(modes + last)])
     if last and not choices:
         low[-1] = -1.0
+    if informed:
+        told = np.full(TOLD, kernels.TOLD_BOUND)
+        low, high = np.concatenate([low, -told]), np.concatenate([high, told])
     return low.astype(np.float32), high.astype(np.float32)
 
 

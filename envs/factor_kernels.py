@@ -34,10 +34,12 @@ TIME, SCALE, INTENT, NOMINAL, ORACLE, CHOICE, SCORE, FIRST = range(8)
 # Columns of a target's memory; then true position, estimate, A each. What the agent remembers is in `looks`.
 GAIN, SIGMA, STREAK, ERROR_AGENT, ERROR_NOMINAL, ERROR_ORACLE, INFLATION, PLACE = range(8)
 # Entries of the settings.
-LOST_AFTER, LOST_STEPS, LOWEST, HIGHEST, LOSS, FLOOR, VIEW, HONEST = range(8)
+LOST_AFTER, LOST_STEPS, LOWEST, HIGHEST, LOSS, FLOOR, VIEW, HONEST, INFORMED = range(9)
 DISTANCE, SQUARED, LOG, REGRET, LOG_REGRET = range(5)
 _NOISE, _CHOSEN = 0, 1
 _SCRATCH, _HPH, _WANTED, _PART, _VECTOR, _REFERENCE, _CROSS, _EXCESS = range(11, 19)
+TOLD, TOLD_BOUND = 5, 30.0
+"""Columns for a critic at the end of an observation, and their largest magnitude."""
 WORK = 19
 """Matrices (16, 8) of scratch: 11 for the filter, the rest for these kernels."""
 
@@ -146,7 +148,7 @@ def _pack_vector(v, A, out):
 
 
 @inner_kernel
-def _look(filters, A, modes, settings, state, sample, seen, params, actions, choice, shown, work, features):
+def _look(filters, A, modes, settings, state, sample, seen, params, actions, choice, shown, work, basis, features):
     """What the agent sees of a sample before it decides: `looking.look`, the filter's modes, the last action."""
     z = sample[FIRST + A : FIRST + 2 * A]
     at, R, present = 2 * A + 2, work[_NOISE], work[_VECTOR, 1]
@@ -159,12 +161,12 @@ def _look(filters, A, modes, settings, state, sample, seen, params, actions, cho
     if d > 0:
         call_innovate(filters[1], state, z, params, work[:11])
         if d == A:
-            look(view, state[at], state[at + 1 :], R, d, present, A, seen, work[_SCRATCH], features)
+            look(view, state[at], state[at + 1 :], R, d, present, A, seen, work[_SCRATCH], basis, features)
         else:
             _pack_vector(state[at], A, work[_VECTOR, 0])
             _pack(state, at + 1, state[at], A, work[_HPH])
             _pack(R, 0, state[at], A, work[_PART])
-            look(view, work[_VECTOR, 0], work[_HPH], work[_PART], d, present, A, seen, work[_SCRATCH], features)
+            look(view, work[_VECTOR, 0], work[_HPH], work[_PART], d, present, A, seen, work[_SCRATCH], basis, features)
     else:
         look_away(view, seen, A, features)
     at = 2 * A + 5 if view == PLAIN_VIEW else LEVELS_SIZE
@@ -179,20 +181,30 @@ def _look(filters, A, modes, settings, state, sample, seen, params, actions, cho
 
 
 @inner_kernel
-def _prepare_honesty(A, state, seen, d, work):
+def _tell_critic(scale, mine, features):
+    """What only a simulator knows, into the last `TOLD` columns; 0 where the truth is not known."""
+    at, sigma, gain = features.size - TOLD, mine[SIGMA], mine[GAIN]
+    told = (
+        math.log(0.01 + mine[ERROR_AGENT] / sigma),
+        math.log(0.01 + mine[ERROR_ORACLE] / sigma),
+        math.log(max(scale, 1.0)),
+        math.log(gain),
+        min(max((mine[ERROR_AGENT] - mine[ERROR_ORACLE]) / sigma / gain, -10.0), TOLD_BOUND),
+    )
+    for i in range(TOLD):
+        value = min(max(told[i], -TOLD_BOUND), TOLD_BOUND)
+        features[at + i] = 0.0 if math.isnan(told[i]) else value
+
+
+@inner_kernel
+def _prepare_honesty(A, state, seen, basis, d, work):
     """``C = P H'`` and by how much the update to come will be too sure, before it changes the state."""
     at, excess, cross = 2 * A + 2, work[_EXCESS], work[_CROSS]
     if d == A:
-        overconfidence(
-            state[at], state[at + 1 :], work[_NOISE], work[_CHOSEN], d, seen[BELIEF:DRIFT], work[_SCRATCH], excess
-        )
+        overconfidence(basis, d, work[_CHOSEN], seen[BELIEF:DRIFT], work[_SCRATCH], excess)
     else:
-        HPH, R, chosen = work[_HPH], work[_PART], work[_WANTED]
-        _pack_vector(state[at], A, work[_VECTOR, 0])
-        _pack(state, at + 1, state[at], A, HPH)
-        _pack(work[_NOISE], 0, state[at], A, R)
-        _pack(work[_CHOSEN], 0, state[at], A, chosen)
-        overconfidence(work[_VECTOR, 0], HPH, R, chosen, d, seen[BELIEF:DRIFT], work[_SCRATCH], excess)
+        _pack(work[_CHOSEN], 0, state[at], A, work[_WANTED])
+        overconfidence(basis, d, work[_WANTED], seen[BELIEF:DRIFT], work[_SCRATCH], excess)
     i = 0
     for a in range(A):
         if not math.isnan(state[at, a]):
@@ -260,7 +272,7 @@ def _load(i, A, times, scale, intent, position, places, samples):
 @kernel
 def begin_rows(
     begin, end, rows, A, modes, actions, filters, params, settings, times, scale, intent, position, places, priors,
-    noises, scalar, states, episodes, samples, memory, looks, features, work,
+    noises, scalar, states, episodes, samples, memory, looks, bases, features, work,
 ):  # fmt: skip
     """Targets ``rows[begin:end]`` start: both references run through the episode, then the first sample is seen."""
     episode = episodes[min(begin, 1)]
@@ -291,8 +303,11 @@ def begin_rows(
         begin_memory(looks[row])
         _load_noise(noises, row, 0, scalar, A, work[_NOISE])
         _look(
-            filters, A, modes, settings, states[row], first, looks[row], params, actions, -1, -1.0, work, features[row]
-        )
+            filters, A, modes, settings, states[row], first, looks[row], params, actions, -1, -1.0, work, bases[row],
+            features[row],
+        )  # fmt: skip
+        if settings[INFORMED] > 0.0:
+            _tell_critic(first[SCALE], mine, features[row])
 
 
 @kernel
@@ -339,7 +354,7 @@ def _mean_sigma(noises, row, scalar, A, steps):
 @kernel
 def step_rows(
     begin, end, live, at, ends, choices, inflations, A, modes, actions, filters, factors, thresholds, params, settings,
-    noises, scalar, states, samples, memory, looks, features, reward, lost, work,
+    noises, scalar, states, samples, memory, looks, bases, features, reward, lost, work,
 ):  # fmt: skip
     """Targets ``begin`` to ``end`` that are live take their decision at sample ``at`` and see the next one."""
     _load_noise(noises, begin, 0, scalar, A, work[_NOISE])
@@ -358,7 +373,7 @@ def step_rows(
                 used = _adapt(factors[choices[row]], thresholds[choices[row]], seen[NIS], d, A, state, work)
             note_used(seen, used)
             if settings[HONEST] > 0.0:
-                _prepare_honesty(A, state, seen, d, work)
+                _prepare_honesty(A, state, seen, bases[row], d, work)
             call_update(filters[2], state, params, work[:11])
             if settings[HONEST] > 0.0:
                 _be_honest(A, state, d, work)
@@ -396,5 +411,8 @@ def step_rows(
             _load_noise(noises, row, k + 1, False, A, work[_NOISE])
         shown = math.log(inflations[row]) / math.log(1e6) * 2.0 - 1.0 if actions == 0 else 0.0
         _look(
-            filters, A, modes, settings, state, after, seen, params, actions, choices[row], shown, work, features[row]
-        )
+            filters, A, modes, settings, state, after, seen, params, actions, choices[row], shown, work, bases[row],
+            features[row],
+        )  # fmt: skip
+        if settings[INFORMED] > 0.0:
+            _tell_critic(after[SCALE], mine, features[row])

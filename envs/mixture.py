@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from jink.envs.episodes import Episodes, Source
+from jink.envs.episodes import Episodes, Source, join, pick
 from jink.envs.streams import Streams
-from jink.envs.truth import Truth
 from jink.estimators.sensor import Sensor
 
 __all__ = ["Mixture"]
@@ -88,17 +85,14 @@ class Mixture:
         """
         which = np.array([int(row[0].integers(len(self.parts))) for row in streams], dtype=np.int64)
         rows = [np.flatnonzero(which == number) for number in range(len(self.parts))]
+        names = self.intents
         made = [
-            (self.parts[i], at, self.parts[i].simulate([streams[r] for r in at.tolist()]))
+            (self.parts[i], at, _named(names, self.parts[i], self.parts[i].simulate([streams[r] for r in at.tolist()])))
             for i, at in enumerate(rows)
             if len(at)
         ]
         if len(made) == 1:
-            part, _, episodes = made[0]
-            return episodes._replace(
-                truth=self._named(part, episodes.truth), delivered=self._named(part, episodes.delivered)
-            )
-        order = np.argsort(np.concatenate([at for _, at, _ in made]))
+            return made[0][2]
         first = made[0][2]
         for part, _, episodes in made[1:]:
             if not np.array_equal(episodes.prior_cov, first.prior_cov):
@@ -106,24 +100,17 @@ class Mixture:
                     f"{self.id}: scenarios must have the same start_sigma; {made[0][0].id} and {part.id} differ. "
                     "Give start_sigma, or choose one with scenario=."
                 )
-        fields: dict[str, Any] = {}
-        for name in Episodes._fields:
-            values = [getattr(episodes, name) for _, _, episodes in made]
-            if name in ("truth", "delivered"):
-                fields[name] = _stack(
-                    [self._named(part, truth) for (part, _, _), truth in zip(made, values, strict=True)], order
-                )
-            elif name in ("nominal_noise", "prior_cov"):
-                fields[name] = values[0]
-            else:
-                fields[name] = np.concatenate(values)[order]
-        return Episodes(**fields)
+        order = np.argsort(np.concatenate([at for _, at, _ in made]))
+        return pick(join([episodes for _, _, episodes in made]), order)
 
-    def _named(self, part: Source, truth: Truth) -> Truth:
-        """Intents of one part as indices into those of all; -1 stays what it is."""
-        names = self.intents
-        places = np.array([*(names.index(name) for name in part.intents), -1], dtype=np.int8)
-        return truth._replace(intent=places[truth.intent])
+
+def _named(names: tuple[str, ...], part: Source, episodes: Episodes) -> Episodes:
+    """Intents of one part as indices into those of all; -1 stays what it is."""
+    places = np.array([*(names.index(name) for name in part.intents), -1], dtype=np.int8)
+    truth = late = episodes.truth._replace(intent=places[episodes.truth.intent])
+    if episodes.delivered is not episodes.truth:
+        late = episodes.delivered._replace(intent=places[episodes.delivered.intent])
+    return episodes._replace(truth=truth, delivered=late)
 
 
 def _sensor(sensor: Sensor) -> str:
@@ -132,17 +119,3 @@ def _sensor(sensor: Sensor) -> str:
     )
     places = f" at {sensor.params}" if sensor.params else ""
     return f"{sensor.name}{places} (sigma {sigmas})"
-
-
-def _stack(truths: list[Truth], order: NDArray[np.int64]) -> Truth:
-    width = max(truth.switch_times.shape[1] for truth in truths)
-    switches = [
-        np.pad(truth.switch_times, ((0, 0), (0, width - truth.switch_times.shape[1])), constant_values=np.nan)
-        for truth in truths
-    ]
-    fields = {
-        name: np.concatenate([getattr(truth, name) for truth in truths])[order]
-        for name in Truth._fields
-        if name != "switch_times"
-    }
-    return Truth(**fields, switch_times=np.concatenate(switches)[order])

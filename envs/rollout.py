@@ -12,6 +12,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
+from jink.envs.ahead import Ahead
 from jink.envs.episodes import Source
 from jink.envs.halves import in_background
 from jink.envs.streams import Streams, make_streams
@@ -64,6 +65,7 @@ class Rollout:
         self.generators: list[np.random.Generator | None] = [None] * self.count
         self.seeds: list[int] = [-1] * self.count
         self._streams: list[Streams | None] = [None] * self.count
+        self._ahead = Ahead(self.count, source.steps, source.simulate)
         self._first = np.ones(self.count, dtype=np.bool_)
         self.k: Rows = np.zeros(self.count, dtype=np.int64)
         self._last: Rows = np.zeros(self.count, dtype=np.int64)
@@ -84,6 +86,7 @@ class Rollout:
     def _seed(self, row: int, generator: np.random.Generator, seed: int) -> np.random.Generator:
         self.generators[row], self.seeds[row] = generator, seed
         self._streams[row] = None
+        self._ahead.forget(row)
         self._first[row] = True
         return generator
 
@@ -108,7 +111,12 @@ class Rollout:
     def begin(self, rows: Rows) -> None:
         """Rows ``rows`` start their next episode, each drawn as one block from the row's own streams."""
         steps = self.source.steps
-        parts = [rows[begin : begin + _CHUNK] for begin in range(0, len(rows), _CHUNK)]
+        self._ahead.fill(rows, np.where(self.over, 0, self._last - self.k), self._streams_of)
+        ready = self._ahead.ready(rows)
+        if ready.any():
+            self.task.begin(rows[ready], self._ahead.take(rows[ready]))
+        late = rows[~ready]
+        parts = [late[begin : begin + _CHUNK] for begin in range(0, len(late), _CHUNK)]
         for one, other in zip_longest(parts[0::2], parts[1::2]):
             later = None if other is None else in_background(self.source.simulate, self._streams_of(other))
             self.task.begin(one, self.source.simulate(self._streams_of(one)))

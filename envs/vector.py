@@ -32,6 +32,8 @@ class TargetVectorEnv(VectorEnv[NDArray[Any], Any, NDArray[Any]]):
             action is ignored), "SameStep" (it starts at once; the last observation is in ``infos["final_obs"]``) or
             "Disabled" (``reset(options={"reset_mask": mask})`` starts it).
         scenario, suite, tracks, stagger, options: as in `TargetEnv`.
+        infos: False: infos hold the last observations of episodes that end at once and nothing else, which is all that
+            learning needs.
         render_mode: None, "rgb_array" (one frame per target) or "human" (the first target).
 
     Raises:
@@ -48,9 +50,11 @@ class TargetVectorEnv(VectorEnv[NDArray[Any], Any, NDArray[Any]]):
         suite: str | None = None,
         tracks: Any = None,
         stagger: bool = False,
+        infos: bool = True,
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
+        self._tells = bool(infos)
         self.autoreset_mode = as_autoreset_mode(autoreset_mode)
         chosen = choose_task(task, options)
         source = choose_source(chosen, scenario=scenario, suite=suite, tracks=tracks)
@@ -104,7 +108,8 @@ class TargetVectorEnv(VectorEnv[NDArray[Any], Any, NDArray[Any]]):
         self._rollout.reset(self._every if mask is None else np.flatnonzero(mask), self._seeds(seed))
         self._show()
         k = self._rollout.k
-        return self._rollout.task.observe(k), with_masks(self._rollout.task.info(k), mask)
+        told = with_masks(self._rollout.task.info(k), mask) if self._tells else {}
+        return self._rollout.task.observe(k), told
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
@@ -164,7 +169,8 @@ class TargetVectorEnv(VectorEnv[NDArray[Any], Any, NDArray[Any]]):
                 rollout.begin(np.flatnonzero(waiting))
         elif mode is AutoresetMode.SAME_STEP and rollout.over.any():
             infos = self._finish(rollout.over)
-        infos.update(with_masks(rollout.task.info(rollout.k)))
+        if self._tells:
+            infos.update(with_masks(rollout.task.info(rollout.k)))
         self._show()
         return rollout.task.observe(rollout.k), reward, terminated, truncated, infos
 
@@ -174,12 +180,9 @@ class TargetVectorEnv(VectorEnv[NDArray[Any], Any, NDArray[Any]]):
         last = np.full(self.num_envs, None, dtype=object)
         for row, observation in zip(rows.tolist(), task.observe(k)[rows], strict=True):
             last[row] = observation
-        infos = {
-            "final_obs": last,
-            "_final_obs": over.copy(),
-            "final_info": with_masks(task.info(k), over),
-            "_final_info": over.copy(),
-        }
+        infos: Infos = {"final_obs": last, "_final_obs": over.copy()}
+        if self._tells:
+            infos |= {"final_info": with_masks(task.info(k), over), "_final_info": over.copy()}
         self._rollout.begin(rows)
         return infos
 

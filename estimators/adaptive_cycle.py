@@ -265,7 +265,7 @@ def advance(settings, chooser, program_handle, work_handle, state, inputs, outpu
     program, work = program_at(program_handle), work_at(work_handle)
     states, rows, results = by_reference(state), by_reference(inputs), by_reference(outputs)
     size = inputs.measurements.shape[2]
-    room = np.zeros((_MATRICES, max(size, 2), padded(size)))
+    room = np.zeros((_MATRICES, size + 2, padded(size)))
     scratch = np.zeros((5 * size + 1, max(padded(size), 8)))
     # float32: an agent has learnt from observations of that precision.
     features, hidden = np.zeros(chooser.network.sizes[0], dtype=np.float32), np.zeros((2, chooser.network.sizes.max()))

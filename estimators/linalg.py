@@ -422,9 +422,11 @@ def diagonalise(A, V, n):
         for c in range(n):
             V[a, c] = 1.0 if a == c else 0.0
     for _ in range(_SWEEPS):
+        diagonal = True
         for a in range(n - 1):
             for c in range(a + 1, n):
                 if abs(A[a, c]) > 1e-15 * (abs(A[a, a]) + abs(A[c, c])):
+                    diagonal = False
                     slope = 0.5 * (A[c, c] - A[a, a]) / A[a, c]
                     sign = 1.0 if slope >= 0.0 else -1.0
                     tangent = sign / (abs(slope) + np.sqrt(slope * slope + 1.0))
@@ -441,3 +443,5 @@ def diagonalise(A, V, n):
                         left, right = V[k, a], V[k, c]
                         V[k, a] = cosine * left - sine * right
                         V[k, c] = sine * left + cosine * right
+        if diagonal:
+            return

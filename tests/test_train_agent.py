@@ -16,6 +16,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 torch = pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
+from jink.envs.adaptive_factor import TOLD  # noqa: E402
 from jink.envs.single import TargetEnv  # noqa: E402
 from jink.envs.vector import TargetVectorEnv  # noqa: E402
 from jink.estimators.agent.policy_file import load_policy  # noqa: E402
@@ -68,11 +69,11 @@ def test_what_a_critic_is_told_is_the_truth_and_the_actor_cannot_see_it():
     env.seed(1)
     seen = env.reset()
     model = sb3.make_model(config, env)
-    sb3.set_scales(model, np.zeros(seen.shape[1] - sb3.TOLD), np.ones(seen.shape[1] - sb3.TOLD))
+    sb3.set_scales(model, np.zeros(seen.shape[1] - TOLD), np.ones(seen.shape[1] - TOLD))
     scale = env.env.rollout.task.info(env.env.rollout.k)["noise_scale"]
     np.testing.assert_allclose(seen[:, -3], np.log(scale), rtol=1e-6)
     other = seen.copy()
-    other[:, -sb3.TOLD :] += 1.0
+    other[:, -TOLD:] += 1.0
     with torch.no_grad():
         torch.nn.init.normal_(model.policy.action_net.weight)
         for action, same in (("predict", True), ("value", False)):
@@ -97,7 +98,7 @@ def test_the_exported_policy_acts_as_the_model(options):
     config = AgentConfig(**{**SHORT, **options})
     env = sb3.make_env(config)
     model = sb3.make_model(config, env)
-    told = sb3.TOLD if config.informed else 0
+    told = TOLD if config.informed else 0
     size = env.observation_space.shape[0] - told
     rng = np.random.default_rng(0)
     sb3.set_scales(model, rng.normal(size=size), rng.uniform(0.5, 2.0, size))

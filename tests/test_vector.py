@@ -491,3 +491,53 @@ def test_frames_of_every_target(monkeypatch):
     for frame, other in zip(env.render(), twin.render(), strict=True):
         np.testing.assert_array_equal(frame, other)
     env.close()
+
+
+def test_episodes_simulated_ahead_are_those_that_would_have_come():
+    """Few targets simulate nothing ahead, many do: the same rows must have the same episodes."""
+    many = TargetVectorEnv(
+        "adaptive-factor", 300, autoreset_mode="SameStep", stagger=True, scenario="surge-v0", steps=40
+    )
+    rows = [0, 1, 150, 299]
+    alone = [
+        TargetVectorEnv("adaptive-factor", 1, autoreset_mode="SameStep", stagger=True, scenario="surge-v0", steps=40)
+        for _ in rows
+    ]
+    seen, _ = many.reset(seed=3)
+    rng, waited = np.random.default_rng(0), 0
+    for row, env in zip(rows, alone, strict=True):
+        np.testing.assert_array_equal(env.reset(seed=3 + row)[0][0], seen[row])
+    for step in range(150):
+        if step == 90:  # new seeds for some, the others' generators go on
+            seeds = [None if row % 2 else 1000 + row for row in range(300)]
+            seen, _ = many.reset(seed=seeds)
+            for row, env in zip(rows, alone, strict=True):
+                np.testing.assert_array_equal(env.reset(seed=seeds[row])[0][0], seen[row])
+        actions = rng.integers(0, 3, 300)
+        seen, rewards, *_ = many.step(actions)
+        waited = max(waited, int(many.rollout._ahead.ready(np.arange(300)).sum()))
+        for row, env in zip(rows, alone, strict=True):
+            ours, reward, *_ = env.step(actions[row : row + 1])
+            np.testing.assert_array_equal(ours[0], seen[row])
+            assert reward[0] == rewards[row]
+    assert waited > 10
+
+
+def test_infos_that_nobody_reads_are_not_made():
+    quiet, told = (
+        TargetVectorEnv("adaptive-factor", 8, autoreset_mode="SameStep", stagger=True, steps=20, infos=infos)
+        for infos in (False, True)
+    )
+    first, nothing = quiet.reset(seed=1)
+    np.testing.assert_array_equal(first, told.reset(seed=1)[0])
+    assert nothing == {}
+    ends = 0
+    for _ in range(60):
+        ours, theirs = quiet.step(np.zeros(8, dtype=int)), told.step(np.zeros(8, dtype=int))
+        for a, b in zip(ours[:4], theirs[:4], strict=True):
+            np.testing.assert_array_equal(a, b)
+        assert set(ours[4]) == ({"final_obs", "_final_obs"} if "final_obs" in theirs[4] else set())
+        for row in np.flatnonzero(ours[4].get("_final_obs", [])):
+            np.testing.assert_array_equal(ours[4]["final_obs"][row], theirs[4]["final_obs"][row])
+            ends += 1
+    assert ends > 10

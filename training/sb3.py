@@ -15,12 +15,12 @@ from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecEnv
 
+from jink.envs.adaptive_factor import TOLD
 from jink.envs.vector import TargetVectorEnv
 from jink.estimators.agent.policy import Policy
 from jink.training.agent_config import TRAIN_EVERY, AgentConfig
 
 __all__ = [
-    "TOLD",
     "NativeVecEnv",
     "Standardised",
     "act_with_memory",
@@ -32,9 +32,6 @@ __all__ = [
     "set_scales",
 ]
 
-TOLD = 5
-"""Columns for a critic: see `NativeVecEnv`."""
-
 
 class NativeVecEnv(VecEnv):
     """A native vector environment as stable-baselines3 wants it: no loop over environments, no info where none ended.
@@ -42,29 +39,21 @@ class NativeVecEnv(VecEnv):
     Same-step autoreset: of an episode that ends, ``terminal_observation`` and ``TimeLimit.truncated`` are in its info,
     so that values are bootstrapped after a truncation and not after a loss.
 
-    With ``informed``, observations go on with what only a simulator knows (`TOLD` columns): errors of agent and oracle,
-    the true noise, what rewards are divided by. They are for a critic; an actor must not see them.
-
     Args:
         env: with same-step autoreset.
-        informed: append the columns for the critic; of `jink/AdaptiveFactor-v0` and its kin only.
 
     Raises:
         ValueError: another autoreset mode.
     """
 
-    def __init__(self, env: Any, informed: bool = False) -> None:
+    def __init__(self, env: Any) -> None:
         mode = env.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.SAME_STEP:
             raise ValueError(
                 f"NativeVecEnv: env must reset in the same step; got {mode}. Make it with autoreset_mode='SameStep'."
             )
-        space = env.single_observation_space
-        if informed:
-            wide = np.full(TOLD, np.inf, dtype=np.float32)
-            space = spaces.Box(np.concatenate([space.low, -wide]), np.concatenate([space.high, wide]), dtype=np.float32)
-        super().__init__(env.num_envs, space, env.single_action_space)
-        self.env, self.informed = env, informed
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        self.env = env
         self._nothing: dict[str, Any] = {}
         self._infos: list[dict[str, Any]] = [self._nothing] * self.num_envs
         self._actions: NDArray[Any] = np.zeros(0)
@@ -73,23 +62,9 @@ class NativeVecEnv(VecEnv):
 
     def reset(self) -> NDArray[Any]:
         """First observations."""
-        observations, told = self.env.reset(seed=self.seed_next)
+        observations, _ = self.env.reset(seed=self.seed_next)
         self.seed_next = None
-        return self._inform(np.asarray(observations), told)
-
-    def _inform(self, observations: NDArray[Any], told: dict[str, Any], gain: Any = None) -> NDArray[Any]:
-        """Observations with the columns for a critic, if wanted."""
-        if not self.informed:
-            return observations
-        task = self.env.rollout.task
-        gain = task.gain if gain is None else gain
-        known = np.empty((len(observations), TOLD), dtype=np.float32)
-        for column, name in enumerate(("error_agent", "error_oracle")):
-            known[:, column] = np.log(0.01 + told[name] / task.sigma)
-        known[:, 2] = np.log(np.maximum(told["noise_scale"], 1.0))
-        known[:, 3] = np.log(gain)
-        known[:, 4] = np.clip((told["error_agent"] - told["error_oracle"]) / task.sigma / gain, -10.0, 30.0)
-        return np.concatenate([observations, np.nan_to_num(known)], axis=1)
+        return np.asarray(observations)
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Keep the actions."""
@@ -97,23 +72,18 @@ class NativeVecEnv(VecEnv):
 
     def step_wait(self) -> tuple[NDArray[Any], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Take them."""
-        gain = self.env.rollout.task.gain if self.informed else None
         observations, rewards, terminated, truncated, told = self.env.step(self._actions)
         done = terminated | truncated
         infos = self._infos
         if done.any():
             infos = list(infos)
             last = told["final_obs"]
-            if self.informed:
-                last = np.zeros((self.num_envs, observations.shape[1]), dtype=np.float32)
-                last[done] = np.stack(list(told["final_obs"][done]))
-                last = self._inform(last, told["final_info"], gain)
             for row in np.flatnonzero(done).tolist():
                 infos[row] = {
                     "terminal_observation": last[row],
                     "TimeLimit.truncated": bool(truncated[row] and not terminated[row]),
                 }
-        return self._inform(observations, told), rewards.astype(np.float32), done, infos
+        return observations, rewards.astype(np.float32), done, infos
 
     def close(self) -> None:
         """Close the environment."""
@@ -165,11 +135,13 @@ def make_env(config: AgentConfig) -> NativeVecEnv:
         config.environments,
         autoreset_mode=AutoresetMode.SAME_STEP,
         stagger=True,
+        infos=False,
         continuous=not config.discrete,
+        informed=config.informed,
         **config.source(),
         **config.environment(),
     )
-    return NativeVecEnv(env, informed=config.informed)
+    return NativeVecEnv(env)
 
 
 def make_model(config: AgentConfig, env: VecEnv) -> Any:

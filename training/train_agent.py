@@ -20,7 +20,7 @@ from jink.training.agent_config import AgentConfig
 from jink.training.agent_scores import interquartile_mean, make_source, play_episodes, score, simulate_seeds
 from jink.training.agent_seen import shown_columns
 
-__all__ = ["AgentReport", "Round", "train_agent"]
+__all__ = ["AgentReport", "Round", "copy_first", "train_agent"]
 
 TRAINING_SEED, VALIDATION_SEED, TEST_SEED = 10_000_000, 1_000_000, 2_000_000
 """First seeds of episodes to learn from, to choose among rounds by, and to report: they never meet."""
@@ -96,7 +96,7 @@ def train_agent(
     state = load_checkpoint(out / CHECKPOINT, model)
     resumed = state is not None
     if state is None:
-        _copy_first(config, model)
+        copy_first(config, model)
         state = {"round": 0, "best": None, "rounds": []}
     rounds = [Round(*found) for found in state["rounds"]]
     source = make_source(config.suite, config.scenario)
@@ -233,7 +233,7 @@ class _Watch:
         return Watch()
 
 
-def _copy_first(config: AgentConfig, model: Any) -> None:
+def copy_first(config: AgentConfig, model: Any) -> None:
     """Scale observations by what a filter sees, and let the network copy an inflation before it learns."""
     from jink.training import sb3
     from jink.training.agent_warm_start import gather_examples, imitate

@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from jink.estimators.agent.beliefs import LEVELS, advised_inflation, believe, forget_levels
+from jink.estimators.agent.beliefs import LEVELS, advised_inflation, believe, forget_levels, principal
 from jink.estimators.compiled import inner_kernel
 from jink.estimators.factors import normalised_innovation
 
@@ -108,7 +108,7 @@ def look_away(view, memory, components, features):
 
 
 @inner_kernel
-def look(view, v, HPH, R, d, present, components, memory, scratch, features):
+def look(view, v, HPH, R, d, present, components, memory, scratch, basis, features):
     """What the agent sees of a measurement before it decides; the averages move on.
 
     Args:
@@ -117,6 +117,7 @@ def look(view, v, HPH, R, d, present, components, memory, scratch, features):
         d, present, components: number present, which they are (d,), number of components of the sensor.
         memory: of this target; updated.
         scratch: (5 D + 1, at least 8).
+        basis: result, (d + 2, padded): `beliefs.principal` of this innovation, with the view ``levels``.
         features: what is seen; the first columns are filled.
     """
     memory[MISSED] += 1.0
@@ -125,7 +126,7 @@ def look(view, v, HPH, R, d, present, components, memory, scratch, features):
     if view == PLAIN_VIEW:
         _look_plain(nis, HPH, R, d, present, components, memory, scratch, features)
     else:
-        _look_levels(nis, v, HPH, R, d, present, memory, scratch, features)
+        _look_levels(nis, v, HPH, R, d, present, memory, scratch, basis, features)
 
 
 @inner_kernel
@@ -163,8 +164,9 @@ def _show_plain(memory, components, log_nis, share, features):
 
 
 @inner_kernel
-def _look_levels(nis, v, HPH, R, d, present, memory, scratch, features):
+def _look_levels(nis, v, HPH, R, d, present, memory, scratch, basis, features):
     log_nis, log_size, log_share, along, drift = 0.0, 0.0, 0.0, 0.0, 0.0
+    basis[d, 0] = math.nan
     if nis < math.inf:
         memory[MISSED] = 0.0
         log_nis = _clip(0.5 * math.log(nis / d + 0.01), WIDE_BOUND)
@@ -177,7 +179,7 @@ def _look_levels(nis, v, HPH, R, d, present, memory, scratch, features):
         for i in range(d):
             column = DRIFT + int(present[i])
             drift += memory[column] * memory[column]
-        size = normalised_innovation(v, R, R, 0.0, d, scratch)
+        size = principal(v, HPH, R, d, scratch, basis)
         log_size = _clip(0.5 * math.log(size / d + 0.01), WIDE_BOUND) if size < math.inf else WIDE_BOUND
         share = 0.0
         for i in range(d):
@@ -187,7 +189,8 @@ def _look_levels(nis, v, HPH, R, d, present, memory, scratch, features):
             memory[column] += (seen - memory[column]) / _SHORT
             memory[column + 1] += (seen - memory[column + 1]) / _LONG
             memory[column + 2] += (seen - memory[column + 2]) / _LONGEST
-        believe(v, HPH, R, d, memory[BELIEF:DRIFT], scratch)
+        if size < math.inf:
+            believe(basis, d, memory[BELIEF:DRIFT], scratch)
         advice = advised_inflation(HPH, R, d, memory[BELIEF:DRIFT])
         memory[ADVICE] = _clip(math.log(advice) / LARGEST_LOG_INFLATION, 1.0)
     _show_levels(memory, log_nis, log_size, log_share, along, math.sqrt(drift), features)

@@ -124,13 +124,13 @@ def agent_update(
         (log density, NIS, whether all went well, what `refusals_agree` found, and how much to widen then).
     """
     n, size = program.sizes[0], z.size
-    given, excess, HPH, chosen = room[0], room[1], room[2], room[3]
+    given, excess, HPH, chosen, basis = room[0], room[1], room[2], room[3], room[4]
     v, seen = work.innovation[0], memory[: memory.size - 1]
     copy_rows(work.R, given, d)
     clear_rows(work.R, d)
     linear, good = measure_mode(program, work, 0, m, P, sensor, z, d)
     copy_rows(work.S, HPH, d)
-    look(chooser.sees, v, HPH, given, d, work.present, size, seen, scratch, features)
+    look(chooser.sees, v, HPH, given, d, work.present, size, seen, scratch, basis, features)
     action = _decide(chooser, size, memory, features, hidden)
     if chooser.addresses.size == 0:
         inflation = math.exp(0.5 * LARGEST_LOG_INFLATION * (action + 1.0))
@@ -164,7 +164,7 @@ def agent_update(
     if lost:
         careful_covariance(program, work, 0, linear, P, d, P_out)
     elif chooser.honest and fine:
-        overconfidence(v, HPH, given, chosen, d, seen[BELIEF:DRIFT], scratch, excess)
+        overconfidence(basis, d, chosen, seen[BELIEF:DRIFT], scratch, excess)
         for r in range(n):
             for c in range(r + 1):
                 total = P_out[r, c]
