@@ -210,7 +210,7 @@ class AdaptiveFactorTask:
             dtype=np.float64,
         )  # fmt: skip
         self._states = np.zeros((B, 4 * A + 3, 8))
-        self._samples = np.zeros((T, B, kernels.FIRST + 3 * A))
+        self._samples = np.zeros((B, T, kernels.FIRST + 3 * A))
         self._memory = np.zeros((B, kernels.PLACE + 2 * A))
         self._looks = np.zeros((B, looking.memory_size(A)))
         self._bases = np.zeros((B, A + 2, 8))
@@ -295,8 +295,7 @@ class AdaptiveFactorTask:
             kernels.begin_rows, len(rows), rows, A, modes, choices, self._filters, self._params, self._settings,
             *inputs, priors,
             self._noises, self._one_noise, self._states,
-            np.empty((2, T, kernels.FIRST + 3 * A)), self._samples, self._memory, self._looks, self._bases,
-            self._features,
+            self._samples, self._memory, self._looks, self._bases, self._features,
         )  # fmt: skip
 
     def end_early(self, rows: Rows, ends: Rows) -> None:
@@ -344,7 +343,7 @@ class AdaptiveFactorTask:
 
     def info_alone(self, k: int) -> dict[str, Any]:
         """`info` of a single target, as plain numbers: one target is told in a fifth of the time."""
-        sample, mine = self._samples[k, 0, : kernels.FIRST].tolist(), self._memory[0, : kernels.PLACE].tolist()
+        sample, mine = self._samples[0, k, : kernels.FIRST].tolist(), self._memory[0, : kernels.PLACE].tolist()
         A, place = self.source.axes, kernels.PLACE
         return {
             "time": sample[kernels.TIME],
@@ -363,7 +362,7 @@ class AdaptiveFactorTask:
     def picture(self, row: int, k: int) -> Picture:
         """Everything up to sample ``k`` of one target."""
         A, c = self.source.axes, kernels.FIRST
-        past = self._samples[: k + 1, row]
+        past = self._samples[row, : k + 1]
         return Picture(
             title=self.source.id,
             times=past[:, kernels.TIME].copy(),

@@ -1,16 +1,16 @@
 """Kernels of `jink/AdaptiveFactor-v0`: a decision, the two references it is measured against, and what is seen next.
 
 A row of `samples` is one sample of one target, a row of `memory` one target; columns are named below and shared with
-`adaptive_factor`. Samples of one time lie side by side, so that targets which step together are read in order; the
-other way round, half of a step was spent waiting for memory. Reference and agent go through the same functions by
-address and through `math.hypot`, so that equal choices give equal bits.
+`adaptive_factor`. The samples that are next are fetched a few targets ahead: without that, half of a step was spent
+waiting for memory. Reference and agent go through the same functions by address and through `math.hypot`, so that
+equal choices give equal bits.
 """
 
 from __future__ import annotations
 
 import math
 
-from jink.envs.compiled import inner_kernel, kernel
+from jink.envs.compiled import fetch, inner_kernel, kernel
 from jink.envs.loop_filter import call_innovate, call_predict, call_start, call_update
 from jink.estimators.agent.beliefs import overconfidence
 from jink.estimators.agent.looking import (
@@ -40,6 +40,8 @@ _NOISE, _CHOSEN = 0, 1
 _SCRATCH, _HPH, _WANTED, _PART, _VECTOR, _REFERENCE, _CROSS, _EXCESS = range(11, 19)
 TOLD, TOLD_BOUND = 5, 30.0
 """Columns for a critic at the end of an observation, and their largest magnitude."""
+_AHEAD, _LINE = 4, 8
+"""Targets between the one whose samples are fetched and the one that steps; numbers in a cache line."""
 WORK = 19
 """Matrices (16, 8) of scratch: 11 for the filter, the rest for these kernels."""
 
@@ -272,14 +274,13 @@ def _load(i, A, times, scale, intent, position, places, samples):
 @kernel
 def begin_rows(
     begin, end, rows, A, modes, actions, filters, params, settings, times, scale, intent, position, places, priors,
-    noises, scalar, states, episodes, samples, memory, looks, bases, features, work,
+    noises, scalar, states, samples, memory, looks, bases, features, work,
 ):  # fmt: skip
     """Targets ``rows[begin:end]`` start: both references run through the episode, then the first sample is seen."""
-    episode = episodes[min(begin, 1)]
-    steps = episode.shape[0]
+    steps = samples.shape[1]
     for i in range(begin, end):
         row = rows[i]
-        mine = memory[row]
+        mine, episode = memory[row], samples[row]
         _load(i, A, times, scale, intent, position, places, episode)
         mine[SIGMA] = _mean_sigma(noises, row, scalar, A, steps)
         gain = 0.0
@@ -289,9 +290,6 @@ def begin_rows(
             )
             gain += total if kind == 0 else -total
         mine[GAIN] = max(gain / (steps - 1), settings[FLOOR])
-        for k in range(steps):
-            for column in range(episode.shape[1]):
-                samples[k, row, column] = episode[k, column]
         first = episode[0]
         call_start(filters[0], priors[i], params, states[row])
         error = _error(first, states[row], A)
@@ -331,7 +329,7 @@ def tell_rows(
 ):
     """What `AdaptiveFactorTask.info` returns."""
     for row in range(at.shape[0]):
-        sample, mine = samples[at[row], row], memory[row]
+        sample, mine = samples[row, at[row]], memory[row]
         time[row], scale[row], intent[row] = sample[TIME], sample[SCALE], int(sample[INTENT])
         detected[row], nis[row] = looks[row, MISSED] == 0.0, looks[row, NIS]
         agent[row], nominal[row], oracle[row] = mine[ERROR_AGENT], mine[ERROR_NOMINAL], mine[ERROR_ORACLE]
@@ -358,13 +356,19 @@ def step_rows(
 ):  # fmt: skip
     """Targets ``begin`` to ``end`` that are live take their decision at sample ``at`` and see the next one."""
     _load_noise(noises, begin, 0, scalar, A, work[_NOISE])
+    steps, width = samples.shape[1], samples.shape[2]
     for row in range(begin, end):
+        coming = row + _AHEAD
+        if coming < end:
+            item = (coming * steps + at[coming]) * width
+            for line in range(0, 2 * width + _LINE, _LINE):
+                fetch(samples, min(item + line, samples.size - 1))
         reward[row] = 0.0
         lost[row] = False
         if not live[row]:
             continue
         k, mine, state, seen = at[row], memory[row], states[row], looks[row]
-        sample = samples[k, row]
+        sample = samples[row, k]
         d, used = _count(sample[FIRST + A : FIRST + 2 * A], A), inflations[row]
         if d > 0:
             if choices[row] < 0:
@@ -405,7 +409,7 @@ def step_rows(
             mine[PLACE + a] = sample[FIRST + a]
             mine[PLACE + A + a] = state[0, a]
             sample[FIRST + 2 * A + a] = state[0, a]
-        after = samples[k + 1, row]
+        after = samples[row, k + 1]
         call_predict(filters[3], state, after[TIME] - sample[TIME], params, work[:11])
         if not scalar:
             _load_noise(noises, row, k + 1, False, A, work[_NOISE])
