@@ -17,6 +17,7 @@ from jink.envs.halves import in_halves
 from jink.envs.loop_filter import LoopFilter, make_loop_filter
 from jink.envs.task import ActionError, Array, Outcome, Picture, Rows
 from jink.estimators.agent import looking
+from jink.estimators.agent.lookback import kept_size
 from jink.estimators.agent.policy import COVARIANCES
 from jink.estimators.factors import Factor, make_factor
 
@@ -90,6 +91,10 @@ class AdaptiveFactorTask:
     With ``covariance="mixture"`` the agent's filter becomes as sure of its estimate as that belief allows, instead of
     as sure as the noise chosen says; action -1 is then not exactly the nominal filter.
 
+    With ``lookback=True`` the filter judges the noise of its last measurement again when the next one comes, with both
+    innovations, and corrects its prediction before the next is observed (`jink.estimators.agent.lookback`): the
+    decision stays one per measurement, and what the filter believed wrongly is taken back once.
+
     ## Action Space
     `Discrete`: the number of a factor: 0 none, 1 mr, 2 huber, 3 rma, 4 mahalanobis, or what ``factors`` lists
     (`jink.estimators.factors.FACTORS`). Continuous: `Box(-1, 1, (1,), float32)`; R is multiplied by a factor of 1 at
@@ -120,9 +125,9 @@ class AdaptiveFactorTask:
     ## Arguments
     ``scenario``, ``suite`` or ``tracks`` choose what happens, other keywords change the scenario's parameters.
     ``factors``, ``loop_filter`` ("kf", "robust", or a `jink.envs.loop_filter.LoopFilter`), ``reward``, ``least_gain``
-    (default 0.1), ``lost_after`` (default 25), ``lost_steps`` (default 10), ``view``, ``covariance`` and ``informed``.
-    The filter is linear: measurements of range and angle are converted to positions with their exact moments
-    beforehand; sensors that do not locate a target are refused.
+    (default 0.1), ``lost_after`` (default 25), ``lost_steps`` (default 10), ``view``, ``covariance``, ``informed``
+    and ``lookback``. The filter is linear: measurements of range and angle are converted to positions with their exact
+    moments beforehand; sensors that do not locate a target are refused.
 
     ## Info
     Of the sample observed: ``time`` s, ``noise_scale`` (the true factor on the noise covariance), ``intent`` (its
@@ -146,6 +151,7 @@ class AdaptiveFactorTask:
         view: "plain" or "levels": what is observed.
         covariance: "chosen" or "mixture": how sure an update makes the agent's filter.
         informed: append what only a simulator knows, for a critic.
+        lookback: judge the last measurement again with the next.
 
     Raises:
         ValueError: an unknown name, an option out of range, or a sensor that does not locate.
@@ -166,6 +172,7 @@ class AdaptiveFactorTask:
         view: str = "plain",
         covariance: str = "chosen",
         informed: bool = False,
+        lookback: bool = False,
     ) -> None:
         check_locates("make", source.sensor)
         if reward not in _LOSSES:
@@ -185,9 +192,15 @@ class AdaptiveFactorTask:
                 f"make: covariance must be one of {', '.join(COVARIANCES)}, mixture only with view levels; got "
                 f"{covariance!r} with view {view!r}. Leave it out if in doubt."
             )
-        if not isinstance(informed, bool):
-            raise ValueError(f"make: informed must be True or False; got {informed!r}. Leave it out if in doubt.")
-        self.view, self.covariance, self.informed = view, covariance, informed
+        for name, value in (("informed", informed), ("lookback", lookback)):
+            if not isinstance(value, bool):
+                raise ValueError(f"make: {name} must be True or False; got {value!r}. Leave it out if in doubt.")
+        if lookback and not (covariance == "mixture" and loop_filter == "kf"):
+            raise ValueError(
+                f"make: lookback must come with covariance mixture and the filter kf; got {covariance!r} and "
+                f"{loop_filter!r}. Leave it out if in doubt."
+            )
+        self.view, self.covariance, self.informed, self.lookback = view, covariance, informed, lookback
         self.source, self.count, self.continuous = source, int(count), bool(continuous)
         self.factors = tuple(make_factor(factor) if isinstance(factor, str) else factor for factor in factors)
         if not continuous and len(self.factors) < 2:
@@ -205,7 +218,7 @@ class AdaptiveFactorTask:
         self._settings = np.array(
             [
                 lost_after, lost_steps, _LOWEST, _HIGHEST, _LOSSES[reward], least_gain, looking.VIEWS[view],
-                covariance == "mixture", informed,
+                covariance == "mixture", informed, lookback,
             ],
             dtype=np.float64,
         )  # fmt: skip
@@ -214,6 +227,7 @@ class AdaptiveFactorTask:
         self._memory = np.zeros((B, kernels.PLACE + 2 * A))
         self._looks = np.zeros((B, looking.memory_size(A)))
         self._bases = np.zeros((B, A + 2, 8))
+        self._keeps = np.zeros((B, kept_size(2 * A, A) if lookback else 1))
         self._features = np.zeros((B, self.observation_space.shape[0]), dtype=np.float32)
         self._noises = np.zeros((1, 1, A * A))
         self._ones = np.ones(B)
@@ -295,7 +309,7 @@ class AdaptiveFactorTask:
             kernels.begin_rows, len(rows), rows, A, modes, choices, self._filters, self._params, self._settings,
             *inputs, priors,
             self._noises, self._one_noise, self._states,
-            self._samples, self._memory, self._looks, self._bases, self._features,
+            self._samples, self._memory, self._looks, self._bases, self._keeps, self._features,
         )  # fmt: skip
 
     def end_early(self, rows: Rows, ends: Rows) -> None:
@@ -314,7 +328,8 @@ class AdaptiveFactorTask:
         in_halves(
             kernels.step_rows, self.count, live, k, self._ends, chosen, inflations, A, modes, choices, self._filters,
             self._addresses, self._thresholds, self._params, self._settings, self._noises, self._one_noise,
-            self._states, self._samples, self._memory, self._looks, self._bases, self._features, reward, lost,
+            self._states, self._samples, self._memory, self._looks, self._bases, self._keeps, self._features,
+            reward, lost,
         )  # fmt: skip
         return Outcome(reward, lost)
 

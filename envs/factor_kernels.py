@@ -13,6 +13,7 @@ import math
 from jink.envs.compiled import fetch, inner_kernel, kernel
 from jink.envs.loop_filter import call_innovate, call_predict, call_start, call_update
 from jink.estimators.agent.beliefs import overconfidence
+from jink.estimators.agent.lookback import forget_update, reconsider, remember_update
 from jink.estimators.agent.looking import (
     BELIEF,
     DRIFT,
@@ -34,15 +35,17 @@ TIME, SCALE, INTENT, NOMINAL, ORACLE, CHOICE, SCORE, FIRST = range(8)
 # Columns of a target's memory; then true position, estimate, A each. What the agent remembers is in `looks`.
 GAIN, SIGMA, STREAK, ERROR_AGENT, ERROR_NOMINAL, ERROR_ORACLE, INFLATION, PLACE = range(8)
 # Entries of the settings.
-LOST_AFTER, LOST_STEPS, LOWEST, HIGHEST, LOSS, FLOOR, VIEW, HONEST, INFORMED = range(9)
+LOST_AFTER, LOST_STEPS, LOWEST, HIGHEST, LOSS, FLOOR, VIEW, HONEST, INFORMED, LOOKBACK = range(10)
 DISTANCE, SQUARED, LOG, REGRET, LOG_REGRET = range(5)
 _NOISE, _CHOSEN = 0, 1
-_SCRATCH, _HPH, _WANTED, _PART, _VECTOR, _REFERENCE, _CROSS, _EXCESS = range(11, 19)
+_SCRATCH, _HPH, _WANTED, _PART, _VECTOR, _REFERENCE, _CROSS, _EXCESS, _BELIEVED, _SLOPE, _TILTED, _CHANGE = range(
+    11, 23
+)
 TOLD, TOLD_BOUND = 5, 30.0
 """Columns for a critic at the end of an observation, and their largest magnitude."""
 _AHEAD, _LINE = 4, 8
 """Targets between the one whose samples are fetched and the one that steps; numbers in a cache line."""
-WORK = 19
+WORK = 23
 """Matrices (16, 8) of scratch: 11 for the filter, the rest for these kernels."""
 
 
@@ -150,7 +153,9 @@ def _pack_vector(v, A, out):
 
 
 @inner_kernel
-def _look(filters, A, modes, settings, state, sample, seen, params, actions, choice, shown, work, basis, features):
+def _look(
+    filters, A, modes, settings, state, sample, seen, params, actions, choice, shown, work, basis, kept, features
+):
     """What the agent sees of a sample before it decides: `looking.look`, the filter's modes, the last action."""
     z = sample[FIRST + A : FIRST + 2 * A]
     at, R, present = 2 * A + 2, work[_NOISE], work[_VECTOR, 1]
@@ -162,6 +167,8 @@ def _look(filters, A, modes, settings, state, sample, seen, params, actions, cho
             d += 1
     if d > 0:
         call_innovate(filters[1], state, z, params, work[:11])
+        if settings[LOOKBACK] > 0.0 and _take_back(A, state, seen, d, present, basis, kept, work):
+            call_innovate(filters[1], state, z, params, work[:11])
         if d == A:
             look(view, state[at], state[at + 1 :], R, d, present, A, seen, work[_SCRATCH], basis, features)
         else:
@@ -183,6 +190,29 @@ def _look(filters, A, modes, settings, state, sample, seen, params, actions, cho
 
 
 @inner_kernel
+def _take_back(A, state, seen, d, present, basis, kept, work):
+    """`lookback.reconsider` for a state of position and velocity; returns whether it has changed."""
+    at, slope = 2 * A + 2, work[_SLOPE]
+    for i in range(d):
+        for c in range(A):
+            slope[i, c] = kept[int(present[i]) * A + c]
+    _pack_vector(state[at], A, work[_VECTOR, 0])
+    _pack(state, at + 1, state[at], A, work[_HPH])
+    _pack(work[_NOISE], 0, state[at], A, work[_PART])
+    return reconsider(
+        kept, 2 * A, A, work[_VECTOR, 0], work[_HPH], work[_PART], d, slope, seen[BELIEF:DRIFT], work[_SCRATCH],
+        work[_TILTED], basis, work[_CHANGE], state[0], state[1 : 1 + 2 * A],
+    )  # fmt: skip
+
+
+@inner_kernel
+def _move_along(A, dt, kept):
+    """What the last update did, `dt` seconds later: positions follow velocities."""
+    for i in range(A * A):
+        kept[i] += dt * kept[A * A + i]
+
+
+@inner_kernel
 def _tell_critic(scale, mine, features):
     """What only a simulator knows, into the last `TOLD` columns; 0 where the truth is not known."""
     at, sigma, gain = features.size - TOLD, mine[SIGMA], mine[GAIN]
@@ -200,19 +230,20 @@ def _tell_critic(scale, mine, features):
 
 @inner_kernel
 def _prepare_honesty(A, state, seen, basis, d, work):
-    """``C = P H'`` and by how much the update to come will be too sure, before it changes the state."""
+    """``C = P H'`` and by how much the update to come will be too sure, before it changes the state; if it is known."""
     at, excess, cross = 2 * A + 2, work[_EXCESS], work[_CROSS]
     if d == A:
-        overconfidence(basis, d, work[_CHOSEN], seen[BELIEF:DRIFT], work[_SCRATCH], excess)
+        sure = overconfidence(basis, d, work[_CHOSEN], seen[BELIEF:DRIFT], work[_SCRATCH], work[_BELIEVED], excess)
     else:
         _pack(work[_CHOSEN], 0, state[at], A, work[_WANTED])
-        overconfidence(basis, d, work[_WANTED], seen[BELIEF:DRIFT], work[_SCRATCH], excess)
+        sure = overconfidence(basis, d, work[_WANTED], seen[BELIEF:DRIFT], work[_SCRATCH], work[_BELIEVED], excess)
     i = 0
     for a in range(A):
         if not math.isnan(state[at, a]):
             for c in range(2 * A):
                 cross[i, c] = state[1 + a, c]
             i += 1
+    return sure
 
 
 @inner_kernel
@@ -274,7 +305,7 @@ def _load(i, A, times, scale, intent, position, places, samples):
 @kernel
 def begin_rows(
     begin, end, rows, A, modes, actions, filters, params, settings, times, scale, intent, position, places, priors,
-    noises, scalar, states, samples, memory, looks, bases, features, work,
+    noises, scalar, states, samples, memory, looks, bases, keeps, features, work,
 ):  # fmt: skip
     """Targets ``rows[begin:end]`` start: both references run through the episode, then the first sample is seen."""
     steps = samples.shape[1]
@@ -299,10 +330,11 @@ def begin_rows(
         mine[ERROR_AGENT], mine[ERROR_NOMINAL], mine[ERROR_ORACLE] = error, error, error
         mine[STREAK], mine[INFLATION] = 0.0, 1.0
         begin_memory(looks[row])
+        forget_update(keeps[row])
         _load_noise(noises, row, 0, scalar, A, work[_NOISE])
         _look(
             filters, A, modes, settings, states[row], first, looks[row], params, actions, -1, -1.0, work, bases[row],
-            features[row],
+            keeps[row], features[row],
         )  # fmt: skip
         if settings[INFORMED] > 0.0:
             _tell_critic(first[SCALE], mine, features[row])
@@ -352,7 +384,7 @@ def _mean_sigma(noises, row, scalar, A, steps):
 @kernel
 def step_rows(
     begin, end, live, at, ends, choices, inflations, A, modes, actions, filters, factors, thresholds, params, settings,
-    noises, scalar, states, samples, memory, looks, bases, features, reward, lost, work,
+    noises, scalar, states, samples, memory, looks, bases, keeps, features, reward, lost, work,
 ):  # fmt: skip
     """Targets ``begin`` to ``end`` that are live take their decision at sample ``at`` and see the next one."""
     _load_noise(noises, begin, 0, scalar, A, work[_NOISE])
@@ -377,7 +409,9 @@ def step_rows(
                 used = _adapt(factors[choices[row]], thresholds[choices[row]], seen[NIS], d, A, state, work)
             note_used(seen, used)
             if settings[HONEST] > 0.0:
-                _prepare_honesty(A, state, seen, bases[row], d, work)
+                sure = _prepare_honesty(A, state, seen, bases[row], d, work)
+                if sure and settings[LOOKBACK] > 0.0:
+                    remember_update(keeps[row], 2 * A, A, work[_CROSS], bases[row], d, work[_BELIEVED])
             call_update(filters[2], state, params, work[:11])
             if settings[HONEST] > 0.0:
                 _be_honest(A, state, d, work)
@@ -411,12 +445,14 @@ def step_rows(
             sample[FIRST + 2 * A + a] = state[0, a]
         after = samples[row, k + 1]
         call_predict(filters[3], state, after[TIME] - sample[TIME], params, work[:11])
+        if settings[LOOKBACK] > 0.0:
+            _move_along(A, after[TIME] - sample[TIME], keeps[row])
         if not scalar:
             _load_noise(noises, row, k + 1, False, A, work[_NOISE])
         shown = math.log(inflations[row]) / math.log(1e6) * 2.0 - 1.0 if actions == 0 else 0.0
         _look(
             filters, A, modes, settings, state, after, seen, params, actions, choices[row], shown, work, bases[row],
-            features[row],
+            keeps[row], features[row],
         )  # fmt: skip
         if settings[INFORMED] > 0.0:
             _tell_critic(after[SCALE], mine, features[row])

@@ -15,7 +15,7 @@ from jink.estimators.adaptive_noise import (
     variational,
     whitened,
 )
-from jink.estimators.agent.updating import agent_skip, agent_update, forget
+from jink.estimators.agent.updating import agent_loses, agent_moves, agent_skip, agent_update, forget
 from jink.estimators.compiled import entry_kernel, inner_kernel
 from jink.estimators.factors import normalised_innovation
 from jink.estimators.fusion import fuse
@@ -64,7 +64,7 @@ class Settings(NamedTuple):
 @inner_kernel
 def _forget_all(settings, learnt, size):
     if settings.method == AGENT:
-        forget(learnt)
+        forget(learnt, size)
         return
     learnt[WEIGHT], learnt[PROCESS] = settings.start_weight, 1.0
     for i in range(size):
@@ -182,6 +182,8 @@ def _step(settings, chooser, program, work, state, inputs, outputs, room, scratc
     d, clean = usable_components(program, work, z, R, sensor)
     m, P = work.predicted_mean[0], work.predicted_cov[0]
     good = predict_mode(program, work, 0, mean, cov, dt, m, P) and good and clean
+    if settings.method == AGENT:
+        agent_moves(chooser, z.size, n, work.F_transposed[0], learnt, work.vector)
     if settings.process and learnt[PROCESS] != 1.0:
         for i in range(n):
             for k in range(n):
@@ -191,6 +193,8 @@ def _step(settings, chooser, program, work, state, inputs, outputs, room, scratc
         widen(state.kin_cov[b])
         lost = True
         birth(program, work, 0, state.kin_mean[b], state.kin_cov[b], m, P)
+        if settings.method == AGENT:
+            agent_loses(chooser, learnt)
     status, log_likelihood, nis = OK, 0.0, 0.0
     if d > 0:
         if settings.method == AGENT:

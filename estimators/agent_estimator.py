@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jink.estimators.adaptive_cycle import AGENT, LEARNT, Settings, advance
 from jink.estimators.agent.beliefs import LEVEL_SCALES, LEVELS
-from jink.estimators.agent.looking import BELIEF, LARGEST_LOG_INFLATION, USED
+from jink.estimators.agent.looking import BELIEF, LARGEST_LOG_INFLATION, USED, memory_size
 from jink.estimators.agent.policy import Policy
 from jink.estimators.agent.updating import Chooser, agent_memory, make_chooser
 from jink.estimators.api import BankEstimator, Estimates
@@ -58,6 +58,11 @@ class AgentEstimator(BankEstimator):
             raise ValueError(
                 f"AgentEstimator: policy must be for {bank.sensor.size} components of a measurement; got one for "
                 f"{policy.components}. Train one with the view levels, which fits any sensor."
+            )
+        if policy.lookback and not bank.modes[0].motion.linear:
+            raise ValueError(
+                f"AgentEstimator: bank must have a linear motion for a policy that looks back; got "
+                f"{bank.modes[0].motion.name}. Train one with --no-lookback."
             )
         super().__init__(bank, name=name, threads=threads)
         self.policy = policy
@@ -110,8 +115,9 @@ class AgentEstimator(BankEstimator):
         return np.exp(recorder._trail[..., USED] * LARGEST_LOG_INFLATION), surge
 
     def _unseen(self) -> Floats:
-        columns = np.zeros(agent_memory(self.bank.sensor.size))
-        columns[1] = columns[-1] = -1.0
+        size, n = self.bank.sensor.size, len(self.bank.modes[0].motion.labels)
+        columns = np.zeros(agent_memory(size, n, self.policy.lookback))
+        columns[1] = columns[memory_size(size)] = -1.0
         columns[BELIEF] = 0.9
         columns[BELIEF + 1 : BELIEF + LEVELS] = 0.1 / (len(LEVEL_SCALES) - 1)
         return columns
@@ -131,7 +137,13 @@ class AgentEstimator(BankEstimator):
     @cached_property
     def _layout(self) -> int:
         policy = self.policy
-        own = (policy.view, policy.factors, policy.covariance, [weight.tobytes() for weight, _ in policy.layers])
+        own = (
+            policy.view,
+            policy.factors,
+            policy.covariance,
+            policy.lookback,
+            [weight.tobytes() for weight, _ in policy.layers],
+        )
         motion = self.bank.modes[0].motion
         return zlib.crc32(repr((self.bank.sensor.axes, self.bank.sensor.size, self.modes, motion.labels, own)).encode())
 

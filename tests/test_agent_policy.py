@@ -22,7 +22,9 @@ from jink.estimators.sensors import make_sensor, position
 ADVICE = LEVELS_SIZE - 2
 
 
-def random_policy(seed=0, view="levels", factors=(), covariance="chosen", components=2, scale=0.7, **about):
+def random_policy(
+    seed=0, view="levels", factors=(), covariance="chosen", components=2, scale=0.7, lookback=False, **about
+):
     """A network of two layers with weights large enough to choose differently from row to row."""
     rng = np.random.default_rng(seed)
     size, out = Policy.size_of(view, components, len(factors)), max(len(factors), 1)
@@ -31,7 +33,7 @@ def random_policy(seed=0, view="levels", factors=(), covariance="chosen", compon
     skip, shift = 0.1 * rng.normal(size=(out, size)), 0.3 * rng.normal(size=size)
     return Policy(
         layers, skip, shift, np.full(size, 0.5), view=view, factors=factors, covariance=covariance,
-        components=components, about=about,
+        components=components, lookback=lookback, about=about,
     )  # fmt: skip
 
 
@@ -146,6 +148,8 @@ SOURCES = {
 KINDS = {
     "inflation": {},
     "honest": {"covariance": "mixture"},
+    "looking back": {"covariance": "mixture", "lookback": True},
+    "factors looking back": {"factors": ("none", "chang"), "covariance": "mixture", "lookback": True},
     "factors": {"factors": ("none", "mr", "huber", "rma", "mahalanobis")},
     "honest factors": {"factors": ("none", "chang"), "covariance": "mixture"},
     "plain inflation": {"view": "plain"},

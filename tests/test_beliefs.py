@@ -23,9 +23,9 @@ def believe(basis, d, belief, scratch):
 
 
 @kernel
-def overconfidence(basis, d, chosen, belief, scratch, excess):
+def overconfidence(basis, d, chosen, belief, scratch, believed, excess):
     """The kernel, called from Python."""
-    return beliefs.overconfidence(basis, d, chosen, belief, scratch, excess)
+    return beliefs.overconfidence(basis, d, chosen, belief, scratch, believed, excess)
 
 
 OTHER = (1.0 - STAY) * (1.0 - BACK) / (LEVELS - 2)
@@ -89,7 +89,11 @@ def test_the_honest_covariance_is_that_of_the_mixture(seed, d, size):
     scratch, basis = np.full((2 * d, 8), np.nan), np.full((d + 2, 8), np.nan)
     excess = np.full((max(d, 2), 8), np.nan)
     assert principal(v, padded(HPH), padded(R), d, scratch, basis) < np.inf
-    assert overconfidence(basis, d, padded(chosen), belief, scratch, excess)
+    believed = np.full((d + 1, 8), np.nan)
+    assert overconfidence(basis, d, padded(chosen), belief, scratch, believed, excess)
+    T = basis[:d, :d]
+    np.testing.assert_allclose(T.T @ believed[:d, :d] @ T, W, rtol=1e-8, atol=1e-10 * np.abs(W).max())
+    np.testing.assert_allclose(T.T @ believed[d, :d], ours @ v, rtol=1e-8, atol=1e-12 * size)
     expected = ours - W
     np.testing.assert_allclose(excess[:d, :d], expected, rtol=1e-8, atol=1e-10 * np.abs(W).max())
 
@@ -104,7 +108,7 @@ def test_what_is_no_covariance_changes_nothing(spoilt):
     scratch, basis, excess = np.zeros((4, 8)), np.zeros((4, 8)), np.ones((2, 8))
     found = principal(v, padded(HPH), padded(R), 2, scratch, basis)
     assert (found < np.inf) == (spoilt == "chosen")
-    assert not overconfidence(basis, 2, padded(chosen), belief, scratch, excess)
+    assert not overconfidence(basis, 2, padded(chosen), belief, scratch, np.zeros((3, 8)), excess)
     np.testing.assert_array_equal(excess[:2, :2], 0.0)
 
 

@@ -69,6 +69,7 @@ class AgentConfig:
         unseen: groups of the view ``levels`` that are hidden from the network, see `GROUPS`.
         warm_start: before learning the network copies ``advice`` (the inflation whose gain is the posterior mean),
             the ``oracle``'s inflation, or nothing; continuous only.
+        lookback: the filter judges its last measurement again with the next; covariance ``mixture`` only.
         informed: while learning, the critic sees the truth (errors, true noise); the agent never does; ppo only.
         critic_first: share of the steps in which only the critic learns, before all; ppo only.
         log_std: logarithm of the standard deviation of the first actions, continuous only; None: -3.5 with a warm
@@ -103,6 +104,7 @@ class AgentConfig:
     reward: str = "log-regret"
     least_gain: float = 1.0
     warm_start: str = "advice"
+    lookback: bool = True
     informed: bool = True
     critic_first: float = 0.08
     log_std: float | None = None
@@ -135,8 +137,10 @@ class AgentConfig:
         if self.unseen and (self.view != "levels" or not set(self.unseen) < set(GROUPS)):
             rule = f"be some, not all, of {', '.join(GROUPS)}, of the view levels"
             _refuse("unseen", rule, self.unseen, "Leave it out if in doubt.")
-        if not isinstance(self.informed, bool):
-            _refuse("informed", "be True or False", repr(self.informed), "Leave it out if in doubt.")
+        for name in ("informed", "lookback"):
+            if not isinstance(getattr(self, name), bool):
+                _refuse(name, "be True or False", repr(getattr(self, name)), "Leave it out if in doubt.")
+        object.__setattr__(self, "lookback", self.lookback and self.covariance == "mixture")
         object.__setattr__(self, "informed", self.informed and self.algorithm == "ppo")
         if self.covariance == "mixture" and self.view != "levels":
             _refuse("covariance", "be chosen with the view plain", "'mixture'", "Use --covariance chosen.")
@@ -198,7 +202,7 @@ class AgentConfig:
     def environment(self) -> dict[str, Any]:
         """Options of the task."""
         told: dict[str, Any] = {"view": self.view, "covariance": self.covariance}
-        told |= {"reward": self.reward, "least_gain": self.least_gain}
+        told |= {"lookback": self.lookback, "reward": self.reward, "least_gain": self.least_gain}
         return {**told, "factors": self.factors} if self.discrete else told
 
     def source(self) -> dict[str, Any]:

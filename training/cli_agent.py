@@ -46,6 +46,9 @@ def train_agent_command(
         str | None, typer.Option(help="Groups of the view levels to hide, comma between.", rich_help_panel=_TASK)
     ] = None,
     covariance: Annotated[str | None, typer.Option(help="mixture (default) or chosen.", rich_help_panel=_TASK)] = None,
+    lookback: Annotated[
+        bool, typer.Option(help="Judge the last measurement again with the next.", rich_help_panel=_TASK)
+    ] = True,
     factors: Annotated[
         str | None, typer.Option(help="Of --discrete: names of 'jink list', comma between.", rich_help_panel=_TASK)
     ] = None,
@@ -101,7 +104,9 @@ def train_agent_command(
     if view == "plain" and covariance is None:
         options["covariance"] = "chosen"
     suite = "surge" if suite is None and scenario is None else suite
-    fixed: dict[str, Any] = {"discrete": discrete, "suite": suite, "scenario": scenario, "seed": seed}
+    fixed: dict[str, Any] = {
+        "discrete": discrete, "suite": suite, "scenario": scenario, "seed": seed, "lookback": lookback,
+    }  # fmt: skip
     config = AgentConfig(**fixed, **options)
     refuse_idle(config, options.keys())
     with say_when_compiling(), _Bar(config.rounds) as bar:

@@ -302,6 +302,7 @@ def export_policy(model: Any, config: AgentConfig, about: dict[str, Any]) -> Pol
         view=config.view,
         factors=config.factors if config.discrete else (),
         covariance=config.covariance,
+        lookback=config.lookback,
         activation="tanh",
         about=about,
     )

@@ -14,12 +14,21 @@ import numpy as np
 from jink.estimators.compiled import inner_kernel
 from jink.estimators.linalg import diagonalise
 
-__all__ = ["LEVELS", "LEVEL_SCALES", "advised_inflation", "believe", "forget_levels", "overconfidence", "principal"]
+__all__ = [
+    "LEVELS",
+    "LEVEL_SCALES",
+    "advised_inflation",
+    "believe",
+    "forget_levels",
+    "overconfidence",
+    "passage",
+    "principal",
+]
 
 LEVEL_SCALES = tuple(4.0**level for level in range(8))
 """1, 4, ..., 16384: in steps of four, as in `jink.estimators.joint`."""
 LEVELS = len(LEVEL_SCALES)
-CALM, STAY, SURGE, BACK = 0.98, 0.95, 0.02 / 7, 0.4
+CALM, STAY, SURGE, BACK = 0.98, 0.95, 0.02 / 7, 0.7
 """Chance per detection to stay calm, to stay at a level, to rise to a given level; share of ends that end in calm."""
 _OTHER = (1.0 - STAY) * (1.0 - BACK) / (LEVELS - 2)
 
@@ -30,6 +39,16 @@ def forget_levels(belief):
     belief[0] = 0.9
     for level in range(1, LEVELS):
         belief[level] = 0.1 / (LEVELS - 1)
+
+
+@inner_kernel
+def passage(before, now):
+    """Chance to be at level ``now`` one detection after level ``before``."""
+    if before == 0:
+        return CALM if now == 0 else SURGE
+    if now == 0:
+        return (1.0 - STAY) * BACK
+    return STAY if now == before else _OTHER
 
 
 @inner_kernel
@@ -154,7 +173,7 @@ def advised_inflation(HPH, R, d, belief):
 
 
 @inner_kernel
-def overconfidence(basis, d, chosen, belief, scratch, excess):
+def overconfidence(basis, d, chosen, belief, scratch, believed, excess):
     """By how much an update with the noise ``chosen`` believes its estimate too much, given the belief.
 
     Model: the mixture of the levels has, about the estimate made, ``P+ = P - C W C'`` with ``C = P H'`` and
@@ -166,6 +185,7 @@ def overconfidence(basis, d, chosen, belief, scratch, excess):
         chosen: the noise of the update; (d, d).
         belief: of this measurement.
         scratch: (2 d, padded).
+        believed: result: W (d, d) and, in row d, ``S~^-1 v``, both in the axes of `principal`.
         excess: result; (d, d).
 
     Returns:
@@ -193,8 +213,9 @@ def overconfidence(basis, d, chosen, belief, scratch, excess):
             entry = inverse[i, k] + apart
             if i == k:
                 entry -= informed
-            excess[i, k] = entry
-            excess[k, i] = entry
+            excess[i, k], excess[k, i] = entry, entry
+            believed[i, k] = believed[k, i] = inverse[i, k] - entry
+        believed[d, i] = scratch[i, 0]
     for i in range(d):  # back: T' excess T
         for c in range(d):
             scratch[i, c] = 0.0

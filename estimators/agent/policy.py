@@ -39,6 +39,8 @@ class Policy:
         covariance: one of `COVARIANCES`; ``mixture`` needs the view ``levels``.
         activation: "tanh" or "relu".
         components: of the sensor, for the view ``plain``.
+        lookback: the last measurement is judged again with the next one (`jink.estimators.agent.lookback`); needs the
+            covariance ``mixture``.
         about: where it comes from; JSON.
 
     Raises:
@@ -54,6 +56,7 @@ class Policy:
     covariance: str = "chosen"
     activation: str = "tanh"
     components: int = 2
+    lookback: bool = False
     about: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -66,6 +69,10 @@ class Policy:
             _refuse("factors", "be at least two, or none for an inflation", self.factors)
         if self.covariance == "mixture" and self.view != "levels":
             _refuse("covariance", "be chosen unless the view is levels", self.covariance)
+        if type(self.lookback) is not bool:
+            _refuse("lookback", "be True or False", repr(self.lookback))
+        if self.lookback and self.covariance != "mixture":
+            _refuse("lookback", "be False unless the covariance is mixture", self.lookback)
         if type(self.components) is not int or not 1 <= self.components <= 16:
             _refuse("components", "be an integer from 1 to 16", self.components)
         if not 1 <= len(self.layers) <= _MOST_LAYERS:
@@ -130,6 +137,8 @@ class Policy:
     def environment(self) -> dict[str, Any]:
         """Keywords of ``gymnasium.make`` for the environment it plays."""
         told: dict[str, Any] = {"view": self.view, "covariance": self.covariance}
+        if self.lookback:
+            told["lookback"] = True
         return {**told, "factors": self.factors} if self.factors else told
 
 

@@ -19,10 +19,13 @@ from jink.estimators.safe_reading import check_names, parse_json, parse_tensors,
 __all__ = ["POLICY_FILE", "find_policy", "load_policy", "pretrained_policies", "replace_file", "save_policy"]
 
 POLICY_FILE = "policy.json"
-FORMAT, VERSION = "jink policy", 1
+FORMAT, VERSION = "jink policy", 2
 _KEYS = (
-    "format", "version", "weights", "view", "factors", "covariance", "activation", "components", "sizes", "about",
+    "format", "version", "weights", "view", "factors", "covariance", "activation", "components", "lookback", "sizes",
+    "about",
 )  # fmt: skip
+_FIRST_KEYS = tuple(name for name in _KEYS if name != "lookback")
+"""Of version 1."""
 _NAMED = ("view", "covariance", "activation")
 _LARGEST = 2**24
 _DEPTH, _LAYERS, _UNITS, _FACTORS = 8, 8, 1024, 32
@@ -53,7 +56,7 @@ def save_policy(policy: Policy, folder: str | Path) -> Path:
     sizes = [policy.layers[0][0].shape[1], *(len(bias) for _, bias in policy.layers)]
     values = (
         FORMAT, VERSION, digest, policy.view, list(policy.factors), policy.covariance, policy.activation,
-        policy.components, sizes, dict(policy.about),
+        policy.components, policy.lookback, sizes, dict(policy.about),
     )  # fmt: skip
     try:
         text = json.dumps(dict(zip(_KEYS, values, strict=True)), indent=1, allow_nan=False) + "\n"
@@ -141,9 +144,9 @@ def _weights_name(digest: str) -> str:
 def _policy(text: bytes, weights_of: Any) -> Policy:
     document = parse_json(text, POLICY_FILE, _DEPTH)
     found = document.get("format"), document.get("version")
-    if found != (FORMAT, VERSION) or type(found[1]) is not int:
-        refuse(POLICY_FILE, f"have format '{FORMAT}' and version {VERSION}", found, "Use the Jink that wrote it.")
-    check_names(document, dict.fromkeys(_KEYS), POLICY_FILE, "keys")
+    if found not in ((FORMAT, 1), (FORMAT, VERSION)) or type(found[1]) is not int:
+        refuse(POLICY_FILE, f"have format '{FORMAT}' and version 1 or {VERSION}", found, "Use the Jink that wrote it.")
+    check_names(document, dict.fromkeys(_FIRST_KEYS if found[1] == 1 else _KEYS), POLICY_FILE, "keys")
     digest, sizes, factors, about = (document[name] for name in ("weights", "sizes", "factors", "about"))
     if not isinstance(digest, str) or not re.fullmatch(r"[0-9a-f]{64}", digest):
         refuse(POLICY_FILE, "name its weights by a SHA-256", repr(digest)[:80], _AGAIN)
@@ -168,7 +171,7 @@ def _policy(text: bytes, weights_of: Any) -> Policy:
     try:
         return Policy(
             layers, tensors["skip"], tensors["shift"], tensors["gain"], factors=tuple(factors),
-            components=document["components"], about=about, **named,
+            components=document["components"], lookback=document.get("lookback", False), about=about, **named,
         )  # fmt: skip
     except ValueError as error:
         raise ValueError(f"{POLICY_FILE}: {error}") from error

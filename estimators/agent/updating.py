@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jink.estimators.agent.beliefs import overconfidence
+from jink.estimators.agent.lookback import carry, forget_update, kept_size, reconsider, remember_update
 from jink.estimators.agent.looking import (
     BELIEF,
     DRIFT,
@@ -31,7 +32,17 @@ from jink.estimators.linalg import clear_rows, copy_rows
 from jink.estimators.modes import careful_covariance, measure_mode
 from jink.estimators.restarting import refusals_agree, widening
 
-__all__ = ["IDLE", "Chooser", "agent_memory", "agent_skip", "agent_update", "forget", "make_chooser"]
+__all__ = [
+    "IDLE",
+    "Chooser",
+    "agent_loses",
+    "agent_memory",
+    "agent_moves",
+    "agent_skip",
+    "agent_update",
+    "forget",
+    "make_chooser",
+]
 
 
 class Chooser(NamedTuple):
@@ -40,6 +51,7 @@ class Chooser(NamedTuple):
     network: Network
     sees: int
     honest: bool
+    looks_back: bool
     addresses: NDArray[np.int64]  # (F,) factors; none: an inflation
     thresholds: NDArray[np.float64]  # (D, F, 2)
 
@@ -55,6 +67,7 @@ def make_chooser(policy: Policy, components: int) -> Chooser:
         policy.network,
         VIEWS[policy.view],
         policy.covariance == "mixture",
+        policy.lookback,
         np.array([factor.function.address for factor in factors], dtype=np.int64),
         thresholds,
     )
@@ -62,28 +75,62 @@ def make_chooser(policy: Policy, components: int) -> Chooser:
 
 _ONE = np.ones((1, 1)), np.zeros(1)
 IDLE = Chooser(
-    make_network((_ONE,), np.zeros((1, 1)), np.zeros(1), np.ones(1), "tanh"), PLAIN_VIEW, False,
+    make_network((_ONE,), np.zeros((1, 1)), np.zeros(1), np.ones(1), "tanh"), PLAIN_VIEW, False, False,
     np.zeros(0, dtype=np.int64), np.zeros((0, 0, 2)),
 )  # fmt: skip
 """Of an estimator without an agent."""
 
 
-def agent_memory(components: int) -> int:
-    """Columns an agent remembers: those of `looking`, then its last action."""
-    return memory_size(components) + 1
+def agent_memory(components: int, n: int, looks_back: bool) -> int:
+    """Columns an agent remembers: those of `looking`, its last action, then what the last update of n states did."""
+    return memory_size(components) + 1 + (kept_size(n, components) if looks_back else 0)
 
 
 @inner_kernel
-def forget(memory):
-    """Nothing has been seen, and no action taken."""
-    begin_memory(memory[: memory.size - 1])
-    memory[memory.size - 1] = -1.0
+def forget(memory, components):
+    """Nothing has been seen, no action taken, no update made."""
+    last = DRIFT + components
+    begin_memory(memory[:last])
+    memory[last] = -1.0
+    if memory.size > last + 1:
+        forget_update(memory)
+
+
+@inner_kernel
+def agent_moves(chooser, components, n, F_transposed, memory, moved):
+    """The state was predicted."""
+    if chooser.looks_back:
+        carry(memory[DRIFT + components + 1 :], n, components, F_transposed, moved)
+
+
+@inner_kernel
+def agent_loses(chooser, memory):
+    """The state was begun anew."""
+    if chooser.looks_back:
+        forget_update(memory)
+
+
+@inner_kernel
+def _slope(program, work, linear, kept, n, D, d, g):
+    """``H D`` of `lookback`, for a nonlinear sensor with the H of its sigma points; (d, components then)."""
+    for c in range(int(kept[kept.size - 1])):
+        if not linear:  # by the root of P that `measure_mode` used
+            for i in range(n):
+                total = kept[i * D + c]
+                for k in range(i):
+                    total -= work.upper[k, i] * work.vector[k]
+                work.vector[i] = total / work.upper[i, i] if work.upper[i, i] > 0.0 else 0.0
+        for a in range(d):
+            total = 0.0
+            for i in range(n):
+                total += work.H[a, i] * kept[i * D + c] if linear else work.gain[a, i] * work.vector[i]
+            g[a, c] = total
 
 
 @inner_kernel
 def _decide(chooser, components, memory, features, hidden):
     """The action: the number of a factor, or a number in -1 .. 1; remembered."""
-    choices, last = chooser.addresses.size, memory.size - 1
+    choices, last = chooser.addresses.size, DRIFT + components
     if chooser.sees == PLAIN_VIEW:
         at = 2 * components + 5
         if choices == 0:
@@ -106,7 +153,7 @@ def _decide(chooser, components, memory, features, hidden):
 @inner_kernel
 def agent_skip(chooser, components, memory, features, hidden):
     """A row without a measurement: the agent sees that, and its decision changes nothing but what it sees next."""
-    look_away(chooser.sees, memory[: memory.size - 1], components, features)
+    look_away(chooser.sees, memory[: DRIFT + components], components, features)
     if chooser.sees == PLAIN_VIEW:
         _decide(chooser, components, memory, features, hidden)
 
@@ -124,12 +171,20 @@ def agent_update(
         (log density, NIS, whether all went well, what `refusals_agree` found, and how much to widen then).
     """
     n, size = program.sizes[0], z.size
-    given, excess, HPH, chosen, basis = room[0], room[1], room[2], room[3], room[4]
-    v, seen = work.innovation[0], memory[: memory.size - 1]
+    given, excess, HPH, chosen, basis, believed = room[0], room[1], room[2], room[3], room[4], room[5]
+    v, seen, kept = work.innovation[0], memory[: DRIFT + size], memory[DRIFT + size + 1 :]
     copy_rows(work.R, given, d)
     clear_rows(work.R, d)
     linear, good = measure_mode(program, work, 0, m, P, sensor, z, d)
     copy_rows(work.S, HPH, d)
+    if chooser.looks_back:
+        _slope(program, work, linear, kept, n, size, d, room[6])
+        again = reconsider(
+            kept, n, size, v, HPH, given, d, room[6], seen[BELIEF:DRIFT], scratch, room[7], basis, room[8], m, P
+        )
+        if again:
+            linear, good = measure_mode(program, work, 0, m, P, sensor, z, d)
+            copy_rows(work.S, HPH, d)
     look(chooser.sees, v, HPH, given, d, work.present, size, seen, scratch, basis, features)
     action = _decide(chooser, size, memory, features, hidden)
     if chooser.addresses.size == 0:
@@ -164,7 +219,9 @@ def agent_update(
     if lost:
         careful_covariance(program, work, 0, linear, P, d, P_out)
     elif chooser.honest and fine:
-        overconfidence(basis, d, chosen, seen[BELIEF:DRIFT], scratch, excess)
+        sure = overconfidence(basis, d, chosen, seen[BELIEF:DRIFT], scratch, believed, excess)
+        if chooser.looks_back and sure:
+            remember_update(kept, n, size, work.cross, basis, d, believed)
         for r in range(n):
             for c in range(r + 1):
                 total = P_out[r, c]
