@@ -102,7 +102,7 @@ def pickled(folder):
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
-        (lambda folder: edit(folder, version=2), "must have format 'jink policy' and version 1"),
+        (lambda folder: edit(folder, version=3), "must have format 'jink policy' and version 1 or 2"),
         (lambda folder: edit(folder, extra=1), "unknown 'extra'"),
         (lambda folder: edit(folder, sizes=[22, 16, 8, 10**6]), "must have sizes"),
         (lambda folder: edit(folder, sizes=[22, 16, 4, 1]), "with shape"),
@@ -198,7 +198,7 @@ def test_the_belief_finds_the_level_of_the_noise():
     estimator = make_estimator("agent", source.sensor, acceleration=np.sqrt(source.filter_noise), policy=advice)
     chosen, surge = estimator.noise_run(z, episodes.times, prior=Prior(episodes.prior_mean, episodes.prior_cov))
     assert surge[:, 30:50].mean() < 0.1
-    assert surge[:, 60:].mean() > 0.9
+    assert surge[:, 60:].mean() > 0.85
     assert np.median(chosen[:, 30:50]) < 1.5
     assert 30.0 < np.median(chosen[:, 60:]) < 120.0  # the truth is 64
     told = estimator.run(z, episodes.times, prior=Prior(episodes.prior_mean, episodes.prior_cov))

@@ -16,11 +16,10 @@ from jink.estimators.agent.looking import LEVELS_SIZE
 from jink.estimators.agent.policy import Policy
 from jink.estimators.agent.policy_file import POLICY_FILE, load_policy, save_policy
 from jink.estimators.agent_estimator import AgentEstimator
-from jink.estimators.bank import Bank
 from jink.estimators.inputs import Prior
-from jink.estimators.motions import coordinated_turn
 from jink.estimators.recipes import make_estimator
 from jink.estimators.sensors import make_sensor, position
+from jink.training.agent_scores import interquartile_mean, make_source, play_episodes, score, simulate_seeds
 
 ADVICE = LEVELS_SIZE - 2
 
@@ -143,18 +142,18 @@ def test_streaming_gives_the_bits_of_the_batch():
     for t in range(first + 1, len(times)):
         state, estimate = estimator.step(state, z[0, t], times[t])
         np.testing.assert_array_equal(estimate.position, batch.position[0, t])
-        np.testing.assert_array_equal(estimate.position_cov, batch.position_cov[0, t])
+        np.testing.assert_array_equal(estimate.covariance, batch.covariance[0, t])
 
 
 def test_what_a_burst_began_with_is_taken_back():
-    times, truth, z = flights(count=200, torn=False)
-    prior = Prior(np.concatenate([truth[:, 0], np.tile([3.0, -2.0], (200, 1))], axis=1), np.diag([4.0, 4.0, 1.0, 1.0]))
-    errors = []
+    source = make_source("surge")
+    episodes = simulate_seeds(source, 500, 150)
+    scores = []
     for lookback in (False, True):
-        estimator = make_estimator("agent", position(2, 1.0), acceleration=0.5, policy=advice(lookback))
-        found = estimator.run(z, times, prior=prior)
-        errors.append(np.linalg.norm(found.position - truth, axis=2)[:, 20:30].mean())
-    assert errors[1] < 0.95 * errors[0]
+        played = play_episodes(advice(lookback), source, episodes)
+        scores.append(score(played.agent, played.nominal, played.oracle, played.sigma))
+    assert interquartile_mean(scores[1]) > interquartile_mean(scores[0]) + 0.005
+    assert np.mean(scores[1] > scores[0]) > 0.55
 
 
 def test_other_sensors_and_wild_numbers_do_it_no_harm():
@@ -165,11 +164,11 @@ def test_other_sensors_and_wild_numbers_do_it_no_harm():
         z[20] = [1e150, 3.0, 1.0][:size]
         found = make_estimator("agent", make_sensor(kind), policy=advice(True)).run(z, np.arange(30.0))
         assert np.isfinite(found.position).all(), kind
-        assert np.linalg.eigvalsh(found.position_cov[0]).min() > 0.0
+        assert np.linalg.eigvalsh(found.covariance[0]).min() > 0.0
 
 
 def test_what_cannot_look_back_is_refused():
-    bank = Bank((coordinated_turn(0.1, 0.1),), position(2, 1.0))
+    bank = make_estimator("ukf-ct", position(2, 1.0)).bank
     with pytest.raises(ValueError, match="AgentEstimator: bank must have a linear motion for a policy that looks back"):
         AgentEstimator(bank, advice(True))
     with pytest.raises(ValueError, match="Policy: lookback must be False unless the covariance is mixture"):

@@ -194,7 +194,7 @@ def test_the_warm_start_counts_and_a_network_without_it_is_worse(tmp_path):
     episodes = simulate_seeds(source, 77, 40)
     found = {}
     for name, warm in (("advice", "advice"), ("none", "none")):
-        config = AgentConfig(**{**SHORT, "steps": 1024, "rounds": 1, "warm_start": warm})
+        config = AgentConfig(**{**SHORT, "steps": 1024, "rounds": 1, "warm_start": warm, "lookback": False})
         policy = train_agent(config, tmp_path / name, tensorboard=False).policy
         played = play_episodes(policy, source, episodes)
         found[name] = interquartile_mean(score(played.agent, played.nominal, played.oracle, played.sigma))

@@ -23,11 +23,15 @@ import numpy as np
 
 from jink.estimators.agent.beliefs import LEVEL_SCALES, LEVELS, passage, principal
 from jink.estimators.compiled import inner_kernel
+from jink.estimators.factors import normalised_innovation
 
 __all__ = ["carry", "forget_update", "kept_size", "reconsider", "remember_update"]
 
-_NEGLIGIBLE = 1e-5
-"""A level less probable than this is not looked at again."""
+_CALM, _ORDINARY = 0.9, 4.0
+"""Probability of calm, and D^2 per component, at which there is nothing to judge again: it would change the score of an
+agent by less than 0.0002, and takes as long as all the rest."""
+_NEGLIGIBLE, _OUT_OF_REACH = 1e-4, 60.0
+"""A level less probable than this is not looked at again; nor is a present level whose D^2 is by so much larger."""
 
 
 def kept_size(n: int, components: int) -> int:
@@ -104,7 +108,7 @@ def reconsider(kept, n, D, v, HPH, R, d, g, belief, scratch, tilted, basis, chan
     """
     last = int(kept[kept.size - 1])
     kept[kept.size - 1] = 0.0
-    if last == 0:
+    if last == 0 or (belief[0] > _CALM and normalised_innovation(v, HPH, R, 1.0, d, scratch) < _ORDINARY * d):
         return False
     first = n * D
     e, u, eta = kept[first + D * D :], kept[first + D * D + D :], kept[first + D * D + 2 * D :]
@@ -139,17 +143,20 @@ def reconsider(kept, n, D, v, HPH, R, d, g, belief, scratch, tilted, basis, chan
             if distance < least:
                 least, nearest = distance, level
         scale *= 4.0
-    total = 0.0
+    total, against = 0.0, 1.0
+    for i in range(d):
+        against *= spreads[i, nearest] + largest
     for level in range(LEVELS):
         mass, scale = 0.0, 1.0
         if belief[level] > _NEGLIGIBLE:
             for now in range(LEVELS):
-                distance, ratio = 0.0, 1.0
+                distance, ratio = -least, against
                 for i in range(d):
-                    variance = spreads[i, level] + scale
-                    distance += seen[i, level] * seen[i, level] / variance
-                    ratio *= (spreads[i, nearest] + largest) / variance
-                mass += passage(level, now) * math.exp(0.5 * (least - distance)) * math.sqrt(ratio)
+                    informed = 1.0 / (spreads[i, level] + scale)
+                    distance += seen[i, level] * seen[i, level] * informed
+                    ratio *= informed
+                if distance < _OUT_OF_REACH:
+                    mass += passage(level, now) * math.exp(-0.5 * distance) * math.sqrt(ratio)
                 scale *= 4.0
         weights[level] = belief[level] * mass
         total += weights[level]
