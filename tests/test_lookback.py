@@ -80,10 +80,11 @@ def by_hand(times, z, mean, cov, density):
         H = np.eye(2, 4)[np.isfinite(z[t])]
         if len(H):
             seen, R = z[t][np.isfinite(z[t])], np.eye(len(H))
-            if last is not None:
+            surprise = (seen - H @ m) @ np.linalg.solve(H @ P @ H.T + R, seen - H @ m)
+            if last is not None and not (belief[0] > 0.9 and surprise < 4.0 * len(H)):
                 weights = np.zeros(LEVELS)
                 for before, (ml, Pl) in enumerate(last["levels"]):
-                    if belief[before] > 1e-5:
+                    if belief[before] > 1e-4:
                         for now, scale in enumerate(LEVEL_SCALES):
                             S, v = H @ Pl @ H.T + scale * R, seen - H @ ml
                             density_of = np.exp(-0.5 * v @ np.linalg.solve(S, v)) / np.sqrt(np.linalg.det(S))
