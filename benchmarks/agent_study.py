@@ -27,6 +27,8 @@ from _paired import save, show
 from jink.envs.episodes import Episodes
 from jink.envs.scenarios import SUITES, make_scenario
 from jink.estimators.adaptive_estimator import AdaptiveEstimator, NoiseAdaptation
+from jink.estimators.agent.looking import LEVELS_SIZE
+from jink.estimators.agent.policy import Policy
 from jink.estimators.agent.policy_file import find_policy
 from jink.estimators.agent_estimator import AgentEstimator
 from jink.estimators.api import BankEstimator
@@ -79,6 +81,15 @@ def make_row(kind: str, source: Any, setting: dict[str, Any]) -> BankEstimator:
     else:
         return AgentEstimator(one_mode(source, q, learns_noise=True), find_policy(kind), threads=1)
     return BankEstimator(bank, name=kind, threads=1)
+
+
+def advice(lookback: bool) -> Policy:
+    """The policy that follows the belief about the noise, without any learning."""
+    skip = np.zeros((1, LEVELS_SIZE))
+    skip[0, LEVELS_SIZE - 2] = 2.0
+    layers = ((np.zeros((1, LEVELS_SIZE)), -np.ones(1)),)
+    still = np.zeros(LEVELS_SIZE), np.ones(LEVELS_SIZE)
+    return Policy(layers, skip, *still, covariance="mixture", lookback=lookback)
 
 
 def settings_of(kind: str) -> Iterator[dict[str, Any]]:
@@ -183,8 +194,11 @@ def compare(given: argparse.Namespace) -> None:
     began = time.process_time()
     errors["agent"] = np.array([judge.errors(folder, {}) for folder in given.agents])
     cost["agent"] = (time.process_time() - began) / len(given.agents)
-    if given.advice is not None:
-        errors["advice, not learnt"] = judge.errors(given.advice, {})[None]
+    for name, look in (("advice, no look-back", False), ("advice, not learnt", True)):
+        began = time.process_time()
+        estimator = AgentEstimator(one_mode(judge.source, 1.0, learns_noise=True), advice(look), threads=1)
+        errors[name] = errors_of(estimator, judge.episodes)[None]
+        cost[name] = time.process_time() - began
     samples = judge.episodes.times.size
     scores = {kind: judge.scores(value) for kind, value in errors.items()}
     fixed = max(FIXED, key=lambda kind: tuned[kind]["score"])
@@ -304,7 +318,6 @@ def main() -> None:
     made.add_argument("--episodes", type=int, default=200)
     made.add_argument("--tuned", type=Path, help="of the part tune")
     made.add_argument("--agents", nargs="+", default=["continuous"], help="folders of jink train agent, or names")
-    made.add_argument("--advice", help="folder of a policy that only follows the belief about the noise")
     made.add_argument("--out", type=Path, required=True)
     made.add_argument("--markdown", action="store_true")
     given = made.parse_args()
