@@ -277,6 +277,8 @@ def test_bad_options_end_in_one_sentence(tmp_path, capsys, options, said):
         (["--view", "plain", "--warm-start", "advice"], "copy nothing; got advice"),
         (["--algorithm", "recurrent-ppo", "--warm-start", "advice"], "copy nothing; got advice"),
         (["--discrete", "--algorithm", "dqn", "--horizon", "8"], "horizon must be left out for dqn"),
+        (["--covariance", "chosen", "--lookback"], "lookback must be left out with covariance chosen"),
+        (["--view", "plain", "--no-lookback"], "lookback must be left out with covariance chosen"),
     ],
 )
 def test_options_without_effect_are_refused(tmp_path, capsys, options, said):

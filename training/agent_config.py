@@ -229,6 +229,8 @@ def refuse_idle(config: AgentConfig, given: Collection[str]) -> None:
     if "warm_start" in given and config.copies != config.warm_start:
         rule = "be none for factors, the view plain and recurrent-ppo, which copy nothing"
         _refuse("warm_start", rule, config.warm_start, "Leave it out.")
+    if "lookback" in given and config.covariance != "mixture":
+        _refuse("lookback", f"be left out with covariance {config.covariance}", config.lookback, "Drop the option.")
     if "horizon" in given and config.algorithm == "dqn":
         _refuse("horizon", f"be left out for dqn, which learns every {TRAIN_EVERY} steps", config.horizon, "Drop it.")
 

@@ -47,8 +47,13 @@ def train_agent_command(
     ] = None,
     covariance: Annotated[str | None, typer.Option(help="mixture (default) or chosen.", rich_help_panel=_TASK)] = None,
     lookback: Annotated[
-        bool, typer.Option(help="Judge the last measurement again with the next.", rich_help_panel=_TASK)
-    ] = True,
+        bool | None,
+        typer.Option(
+            "--lookback/--no-lookback",
+            help="Judge the last measurement again with the next; default with covariance mixture.",
+            rich_help_panel=_TASK,
+        ),
+    ] = None,
     factors: Annotated[
         str | None, typer.Option(help="Of --discrete: names of 'jink list', comma between.", rich_help_panel=_TASK)
     ] = None,
@@ -96,7 +101,7 @@ def train_agent_command(
         "reward": reward, "view": view, "covariance": covariance, "algorithm": algorithm, "steps": steps,
         "environments": environments, "horizon": horizon, "minibatch": minibatch, "epochs": epochs,
         "learning_rate": learning_rate, "discount": discount, "hidden": hidden, "rounds": rounds,
-        "warm_start": warm_start,
+        "warm_start": warm_start, "lookback": lookback,
         "factors": None if factors is None else tuple(name.strip() for name in factors.split(",")),
         "unseen": None if unseen is None else tuple(name.strip() for name in unseen.split(",")),
     }  # fmt: skip
@@ -104,9 +109,7 @@ def train_agent_command(
     if view == "plain" and covariance is None:
         options["covariance"] = "chosen"
     suite = "surge" if suite is None and scenario is None else suite
-    fixed: dict[str, Any] = {
-        "discrete": discrete, "suite": suite, "scenario": scenario, "seed": seed, "lookback": lookback,
-    }  # fmt: skip
+    fixed: dict[str, Any] = {"discrete": discrete, "suite": suite, "scenario": scenario, "seed": seed}
     config = AgentConfig(**fixed, **options)
     refuse_idle(config, options.keys())
     with say_when_compiling(), _Bar(config.rounds) as bar:
