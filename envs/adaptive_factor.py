@@ -93,9 +93,9 @@ class AdaptiveFactorTask:
 
     With ``lookback=True`` the filter judges the noise of its last measurement again when the next one comes, with both
     innovations, and corrects its prediction before the next is observed (`jink.estimators.agent.lookback`): the
-    decision stays one per measurement, and what the filter believed wrongly is taken back once. Unless both measurements
-    are ordinary, the gain of a decision is then replaced by the mean gain of what is believed: so a decision
-    matters most for the estimate it was made for.
+    decision stays one per measurement, and what the filter believed wrongly is taken back once. Unless both
+    measurements are ordinary, the gain of a decision is then replaced by the mean gain of what is believed: so a
+    decision matters most for the estimate it was made for.
 
     ## Action Space
     `Discrete`: the number of a factor: 0 none, 1 mr, 2 huber, 3 rma, 4 mahalanobis, or what ``factors`` lists
