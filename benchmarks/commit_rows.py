@@ -3,7 +3,7 @@
     jink bench --suite switch --out rows.parquet     (and so on, or --suite all)
     python benchmarks/commit_rows.py rows.parquet
 
-Every number stays with its interval and its command. Runs stay where pages and reports compare them (`position_rmse`);
+Every number stays with its interval and its command. Runs stay of what pages and reports compare (`COMPARED`);
 curves and the one track stay of the first scenario of each suite. The full file has all of them for all scenarios.
 """
 
@@ -15,7 +15,7 @@ from jink.training.bench_jobs import SIMULATED
 from jink.training.rows import Cell, read_rows, write_rows
 
 PLACE = Path(__file__).resolve().parent.parent / "docs" / "results"
-COMPARED = ("position_rmse",)
+COMPARED = ("position_rmse", "velocity_rmse", "prediction_rmse")
 
 
 def shortened(rows, suite):
