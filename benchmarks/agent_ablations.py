@@ -83,13 +83,15 @@ VARIANTS = [
     Variant(ADVICE, "covariance chosen", {"covariance": "chosen"}),
     Variant(ADVICE, "first deviation 0.14", {"log_std": -2.0}),
     Variant(ADVICE, "first deviation 0.37", {"log_std": -1.0}),
+    Variant(ADVICE, "copies the oracle, reward log", {"warm_start": "oracle", "reward": "log"}),
+    *(Variant(NOTHING, f"first deviation {d}", {**BARE, "log_std": v}) for d, v in (("0.14", -2.0), ("1", 0.0))),
     Variant(FACTORS, "the patent's four", {**SHIPPED, "factors": AgentConfig().factors}),
     Variant(FACTORS, "covariance mixture", {**SHIPPED, "covariance": "mixture"}),
     Variant(FACTORS, "DQN", {**SHIPPED, "algorithm": "dqn"}, 3),
     Variant(NOTHING, "recurrent PPO", {**BARE, "algorithm": "recurrent-ppo"}, 3),
 ]
 CHOICES: dict[str, list[dict[str, Any]]] = {
-    "recurrent PPO": [{"log_std": value} for value in (-1.0, 0.0, 1.0)],
+    "recurrent PPO": [{"log_std": value} for value in (-1.0, 0.0, 1.0, -2.0, -3.0)],
     "DQN": [{"horizon": 32, "minibatch": size} for size in (256, 1024, 8192)],
 }
 """What is searched on validation episodes, seed 0, with a half of the steps."""

@@ -301,7 +301,7 @@ def test_tables_of_the_learner_are_its_rows(world, monkeypatch, capsys):
     assert [line for line in block[1].splitlines() if line] == capsys.readouterr().out.splitlines()
 
 
-@pytest.mark.parametrize("name", ["agent_batches"])
+@pytest.mark.parametrize("name", ["agent_batches", "agent_ablations"])
 def test_tables_of_trainings_are_those_of_the_rows(name, monkeypatch):
     pytest.importorskip("stable_baselines3")
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
@@ -315,3 +315,24 @@ def test_tables_of_trainings_are_those_of_the_rows(name, monkeypatch):
     if name == "agent_batches":
         head = (ROOT / "docs" / "pictures" / "agent_batches.png").read_bytes()[:2000]
         assert script.digest(kept).encode() in head
+    else:
+        for row in kept["rows"]:
+            value, low, high = row["score"]
+            assert low <= value <= high and low <= np.mean(row["each"]) <= high, row
+            assert row["seeds"] == len(row["each"]) >= 3
+
+
+@pytest.mark.slow
+def test_a_training_of_the_ablations_comes_out_as_its_row_says(tmp_path, monkeypatch):
+    pytest.importorskip("stable_baselines3")
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    script = importlib.import_module("agent_ablations")
+    kept = json.loads((ROWS / "agent_ablations.json").read_text(encoding="utf-8"))
+    (variant,) = (one for one in script.VARIANTS if one[:2] == (script.NOTHING, "advice alone"))
+    (row,) = (row for row in kept["rows"] if (row["group"], row["variant"]) == variant[:2])
+    source = script.make_source("surge")
+    episodes = script.simulate_seeds(source, script.TEST_SEED, kept["episodes"])
+    done = script.run(script.config_of(variant, {}, 0), tmp_path / "x", source, episodes)
+    assert done["steps"] == row["steps"]
+    # Another processor sums in another order, and a training of a million steps makes something of it.
+    assert script.interquartile_mean(np.array(done["scores"])) == pytest.approx(row["each"][0], abs=0.03)
