@@ -771,7 +771,72 @@ def test_a_cell_that_always_kills_its_worker_is_given_up(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_killed_worker_of_a_cluster_costs_only_its_cells(tmp_path):
-    pytest.importorskip("distributed")
-    jobs = [(tmp_path / "once", number) for number in range(6)]
-    assert dict(compute_all(kill_once, jobs, Place("dask", 2), gone)) == {k: 10 * k for k in range(6)}
+@pytest.mark.parametrize("backend", ["dask", "ray"])
+def test_a_killed_worker_of_a_cluster_costs_only_its_cells(backend, tmp_path):
+    pytest.importorskip({"dask": "distributed", "ray": "ray"}[backend])
+    jobs = [(tmp_path / "once", number) for number in range(12)]
+    found = list(compute_all(kill_once, jobs, Place(backend, 2), gone))
+    assert sorted(found) == [(k, 10 * k) for k in range(12)]
+    assert (tmp_path / "once").exists()
+
+
+def hold(job):
+    """Cells that are at work when one of them ends its worker, and how often each was begun."""
+    folder, number = job
+    begun = folder / f"begun-{number}-{time.monotonic_ns()}"
+    begun.touch()
+    if number == 0:
+        while not list(folder.glob("begun-1-*")):  # another worker is in the middle of its cell
+            time.sleep(0.01)
+        if not (folder / "once").exists():
+            (folder / "once").touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+    while number == 1 and not (folder / "once").exists():
+        time.sleep(0.01)
+    if number == 1 and len(list(folder.glob("begun-1-*"))) == 1:
+        time.sleep(60.0)  # ended together with the pool
+    return 10 * number
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such signal")
+def test_cells_that_go_down_with_the_pool_are_computed_again_once(tmp_path):
+    """Two cells in work: the one that ends its worker, and one that loses its worker with it."""
+    found = list(compute_all(hold, [(tmp_path, number) for number in range(6)], Place("local", 2), gone))
+    assert sorted(found) == [(k, 10 * k) for k in range(6)]  # none lost, none twice
+    assert [len(list(tmp_path.glob(f"begun-{number}-*"))) for number in (0, 1)] == [2, 2]
+
+
+FATAL = """
+import os, signal
+from pathlib import Path
+from jink.estimators.recipes import make_estimator
+
+def make(sensor, acceleration, speed, sojourn):
+    once = Path(__file__).with_suffix(".once")
+    if not once.exists():
+        once.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return make_estimator("kf-cv", sensor, acceleration=acceleration, speed=speed, sojourn=sojourn)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such signal")
+@pytest.mark.parametrize("backend", ["local", *(pytest.param(one, marks=pytest.mark.slow) for one in ("dask", "ray"))])
+def test_a_file_is_whole_whatever_worker_was_killed(backend, tmp_path):
+    """The command itself: a worker is killed in the middle of a cell; the file is as if nothing had happened."""
+    if backend != "local":
+        pytest.importorskip({"dask": "distributed", "ray": "ray"}[backend])
+    (tmp_path / "mine.py").write_text(FATAL)
+    names = ("truth", "kf-cv", f"{tmp_path / 'mine.py'}:make", "huber", "bound")
+    for name, place in (("killed", ("--backend", backend, "--workers", 2)), ("calm", ())):
+        assert run("bench", *words(estimators=names), "--out", tmp_path / f"{name}.parquet", *place) == 0
+        assert (tmp_path / "mine.once").exists()
+    killed, calm = (read_rows(tmp_path / f"{name}.parquet") for name in ("killed", "calm"))
+    assert set(killed["status"]) == {"ok"} and set(killed["estimator"]) == {
+        "truth",
+        "kf-cv",
+        "mine.py:make",
+        "huber",
+        "bound",
+    }
+    assert_same(killed, calm)
