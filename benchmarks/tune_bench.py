@@ -1,11 +1,13 @@
 """Choose the settings of every estimator of `jink bench`, all by the same objective, search and budget.
 
     python benchmarks/tune_bench.py --out training/ladder/settings.json
+    python benchmarks/tune_bench.py --starts 6 --estimator imm --out training/ladder/settings.json
 
 Objective: the sum over the scenarios of a suite of the log of the mean squared position error, on training episodes
 (seeds 50 000 and up; tables use 100 000 and up). Search: one parameter after the other, a factor of four up and down,
-then smaller ones, from the recipe's own choice, until the budget is spent. One setting for a whole suite: factors on
-the scales that each scenario's targets have.
+then smaller ones, from the recipe's own choice, until the budget is spent; with ``--starts`` also from points drawn
+around it, each with a budget of its own, and the best of all is kept. One setting for a whole suite: factors on the
+scales that each scenario's targets have.
 """
 
 from __future__ import annotations
@@ -39,12 +41,14 @@ SEARCHED: dict[str, tuple[str, ...]] = {
     "sage-husa": ("acceleration", "noise", "forgetting"),
     "vb-noise": ("acceleration", "noise", "forgetting"),
     "intent-imm": ("acceleration", "noise", "sojourn"),
-    "intent-imm@learned": ("noise",),
+    "intent-imm@learned": ("acceleration", "noise", "sojourn"),
     "joint-imm": ("acceleration", "noise", "sojourn", "surge_every", "surge_for"),
     "agent": ("acceleration", "noise"),
     "oracle": ("acceleration", "sojourn"),
 }
 FIRST_STEP, LAST_STEP, REACH = 2.0, 0.125, 12.0
+SPREAD = 6.0
+"""Further starts are drawn within this many powers of two of the recipe's own choice."""
 
 
 def settings_at(point: dict[str, float]) -> Settings:
@@ -57,8 +61,10 @@ def settings_at(point: dict[str, float]) -> Settings:
     return Settings(**{name: float(f"{value:.4g}") for name, value in values.items()})
 
 
-def search(cost: Callable[[dict[str, float]], float], names: tuple[str, ...], budget: int) -> tuple[dict, float, int]:
-    """Best point found, its cost, evaluations."""
+def search(
+    cost: Callable[[dict[str, float]], float], start: dict[str, float], budget: int
+) -> tuple[dict[str, float], float, int]:
+    """Best point found from a start, its cost, evaluations."""
     known: dict[tuple[float, ...], float] = {}
 
     def at(point: dict[str, float]) -> float:
@@ -67,11 +73,11 @@ def search(cost: Callable[[dict[str, float]], float], names: tuple[str, ...], bu
             known[key] = cost(point)
         return known[key]
 
-    best = dict.fromkeys(names, 0.0)
+    best = start
     least, step = at(best), FIRST_STEP
     while step >= LAST_STEP:
         better = False
-        for name in names:
+        for name in start:
             for direction in (step, -step):
                 moved = best | {name: best[name] + direction}
                 while abs(moved[name]) <= REACH and len(known) < budget and at(moved) < least:
@@ -84,7 +90,14 @@ def search(cost: Callable[[dict[str, float]], float], names: tuple[str, ...], bu
     return best, least, len(known)
 
 
-def tune(suite: str, name: str, runs: int, budget: int) -> dict[str, object] | None:
+def starts_of(names: tuple[str, ...], count: int) -> list[dict[str, float]]:
+    """The recipe's own choice, and points around it on whole powers of two."""
+    draws = np.random.default_rng(TRAINING_SEED).integers(-SPREAD, SPREAD, (count - 1, len(names)), endpoint=True)
+    points = [np.zeros(len(names)), *draws.astype(np.float64)]
+    return [dict(zip(names, map(float, point), strict=True)) for point in points]
+
+
+def tune(suite: str, name: str, runs: int, budget: int, starts: int) -> dict[str, object] | None:
     """Settings of one estimator for one suite; None where the suite has no such rung."""
     scenarios = []
     for known in map(make_scenario, SUITES[suite]):
@@ -107,12 +120,16 @@ def tune(suite: str, name: str, runs: int, budget: int) -> dict[str, object] | N
             total += math.log(square) if math.isfinite(square) else math.inf
         return total
 
-    point, least, count = search(cost, SEARCHED[name], budget)
-    start = cost(dict.fromkeys(SEARCHED[name], 0.0))
-    chosen = settings_at(point)._asdict()
+    untuned = cost(dict.fromkeys(SEARCHED[name], 0.0))
     usual = Settings()._asdict()
-    gain = math.exp((least - start) / (2 * len(scenarios)))
-    print(f"{suite} {name}: {gain:.3f} of the untuned error after {count} evaluations, {chosen}", flush=True)
+    results = []
+    for start in starts_of(SEARCHED[name], starts):
+        point, least, count = search(cost, start, budget)
+        results.append((least, point))
+        gain = math.exp((least - untuned) / (2 * len(scenarios))) if math.isfinite(untuned) else math.nan
+        found = {key: value for key, value in settings_at(point)._asdict().items() if value != usual[key]}
+        print(f"{suite} {name}: {gain:.3f} of the untuned error after {count} evaluations, {found}", flush=True)
+    chosen = settings_at(min(results, key=lambda result: result[0])[1])._asdict()
     return {key: value for key, value in chosen.items() if value != usual[key]}
 
 
@@ -120,7 +137,10 @@ def main() -> None:
     """Search, and write after each estimator."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=24, help="training episodes of each scenario")
-    parser.add_argument("--budget", type=int, default=48, help="evaluations of each estimator")
+    parser.add_argument("--budget", type=int, default=48, help="evaluations of each estimator from each start")
+    parser.add_argument(
+        "--starts", type=int, default=1, help="points to search from: the recipe's own, then drawn ones"
+    )
     parser.add_argument("--suite", action="append", choices=SIMULATED, help="only this one; may be repeated")
     parser.add_argument("--estimator", action="append", choices=sorted(SEARCHED), help="only this; may be repeated")
     parser.add_argument("--out", type=Path, required=True, help="JSON file; what it holds of others stays")
@@ -129,7 +149,7 @@ def main() -> None:
     found: dict[str, dict[str, object]] = table.get("settings", {})
     for suite in given.suite or SIMULATED:
         for name in [one for one in LADDER if one in SEARCHED and one in (given.estimator or SEARCHED)]:
-            settings = tune(suite, name, given.runs, given.budget)
+            settings = tune(suite, name, given.runs, given.budget, given.starts)
             if settings is None:
                 continue
             found.setdefault(suite, {})[name] = settings

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -11,10 +12,11 @@ from rich.console import Console
 
 from jink.training.bench_jobs import SIMULATED, Job, jobs_of, rows_of_job
 from jink.training.bench_request import BenchRequest, check_request
-from jink.training.console import progress, say_when_compiling, stderr
+from jink.training.console import name_what_compiles, progress, say_when_compiling, stderr
 from jink.training.ladder.backends import compute_all
 from jink.training.ladder.table import print_ladder
 from jink.training.ladder.typical import EVALUATION_END, EVALUATION_SEED
+from jink.training.ladder.warming import Aside, warm_aside
 from jink.training.row_writer import RowWriter, remove_leftovers
 from jink.training.rows import Cell, finished_cells, make_rows, read_rows
 from jink.training.tables import print_many_suite, print_published, print_recorded
@@ -82,11 +84,32 @@ def _warn_of_seeds(todo: list[Job]) -> None:
 def _compute(todo: list[Job], request: BenchRequest, out: Path, text: str) -> None:
     if not todo:
         return
-    with progress(text, len(todo)) as advance, RowWriter(out) as writer:
-        advance(0, f"{text}: {todo[0].cell.scenario}: {todo[0].cell.estimator}")
-        for index, rows in compute_all(rows_of_job, todo, request.place, _give_up):
-            writer.add(rows)
-            advance(1, f"{text}: {todo[index].cell.scenario}: {todo[index].cell.estimator}")
+    names = [job.cell.estimator for job in todo if job.cell.suite in SIMULATED]
+    with progress(text, len(todo)) as advance, warm_aside(names) as aside, RowWriter(out) as writer:
+        shown = f"{text}: {todo[0].cell.scenario}: {todo[0].cell.estimator}"
+        advance(0, shown)
+
+        def compute(job: Job) -> pd.DataFrame:
+            _wait(aside, job.cell.estimator, advance, text)
+            return rows_of_job(job)
+
+        alone = request.place.backend == "local" and request.place.workers == 1
+        if not alone and not request.place.address:  # workers of this machine would all compile the same
+            for name in names:
+                _wait(aside, name, advance, text)
+        with name_what_compiles(lambda kernel: advance(0, f"{shown}: compiling {kernel}")):
+            for index, rows in compute_all(compute if alone else rows_of_job, todo, request.place, _give_up):
+                writer.add(rows)
+                after = todo[min(index + 1, len(todo) - 1)].cell if alone else todo[index].cell
+                shown = f"{text}: {after.scenario}: {after.estimator}"
+                advance(1, shown)
+
+
+def _wait(aside: Aside, estimator: str, advance: Callable[..., None], text: str) -> None:
+    """Until another process has compiled what this rung needs."""
+    if aside.busy(estimator):
+        advance(0, f"{text}: compiling {estimator} in a second process")
+        aside.wait()
 
 
 def _give_up(job: Job, reason: str) -> pd.DataFrame:

@@ -13,7 +13,16 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-__all__ = ["check_separate", "check_writable", "progress", "run_command", "say_when_compiling", "screen", "stderr"]
+__all__ = [
+    "check_separate",
+    "check_writable",
+    "name_what_compiles",
+    "progress",
+    "run_command",
+    "say_when_compiling",
+    "screen",
+    "stderr",
+]
 
 PATIENCE_S = 2.0
 """A progress bar appears after this long."""
@@ -82,6 +91,31 @@ def say_when_compiling() -> Iterator[None]:
             """Nothing to do: the notice stays."""
 
     # A kernel found on disk runs no compiler pass, so this event means real work, callbacks included.
+    with event.install_listener("numba:run_pass", Listener()):
+        yield
+
+
+@contextlib.contextmanager
+def name_what_compiles(tell: Callable[[str], None]) -> Iterator[None]:
+    """Call `tell` with the name of each function that Numba compiles because its cache does not have it.
+
+    Args:
+        tell: gets the bare name; called again only when it changes.
+    """
+    from numba.core import event
+
+    class Listener(event.Listener):
+        name = ""
+
+        def on_start(self, event: Any) -> None:
+            name = str((event.data or {}).get("qualname", "")).rpartition(".")[2]
+            if name and name != self.name:
+                self.name = name
+                tell(name)
+
+        def on_end(self, event: Any) -> None:
+            """Nothing to do: the next name replaces it."""
+
     with event.install_listener("numba:run_pass", Listener()):
         yield
 

@@ -32,6 +32,8 @@ from jink.estimators.recipes import (
 from jink.estimators.sensor import Sensor
 from jink.estimators.status import STARTING
 from jink.estimators.treatments import Adaptive, Uncertain
+from jink.intent.laws import Phase
+from jink.intent.model import IntentModel
 from jink.training.ladder.scores import HORIZON_S, Readings
 from jink.training.ladder.settings import Settings
 from jink.training.ladder.typical import typical_scales
@@ -111,7 +113,8 @@ def make_follower(name: str, scenario: Scenario, settings: Settings) -> Follower
     if name == "agent" and name not in RECIPES:
         raise NoSuchRung("this version has no agent")
     if name.startswith("intent-imm@"):
-        bank, told["model"] = _learned(name.partition("@")[2], scenario)
+        bank, told["model"] = _learned(name.partition("@")[2], scenario, settings)
+        del told["scales"]  # a model has its own
         return _following(BankEstimator(bank, name=name, threads=1), scenario, settings, told)
     if name in FACTORS:
         motion = constant_velocity(scenario.axes, acceleration_density=scales.acceleration**2)
@@ -160,8 +163,12 @@ def _known_error(scenario: Scenario) -> tuple[Uncertain, ...]:
     return () if error is None else (Uncertain(error.gain, error.of_state),)
 
 
-def _learned(name: str, scenario: Scenario) -> tuple[Bank, str]:
-    """The bank of the pretrained model that learned from this scenario's target, or of the one named."""
+def _learned(name: str, scenario: Scenario, settings: Settings) -> tuple[Bank, str]:
+    """The bank of the pretrained model that learned from this scenario's target, or of the one named.
+
+    The factor on acceleration scales the roots of its three noise densities, that on the time between switches the
+    times that its chain stays.
+    """
     from jink.envs.scenarios import SCENARIOS
     from jink.intent.pretrained import load_pretrained, pretrained_names
 
@@ -170,8 +177,29 @@ def _learned(name: str, scenario: Scenario) -> tuple[Bank, str]:
         tracks = model.about.get("tracks")
         source = SCENARIOS.get(str(tracks.get("source"))) if isinstance(tracks, dict) else None
         if model.axes == scenario.axes and (name != "learned" or (source and source.motion == scenario.motion)):
-            return model.bank(scenario.sensor), known
+            return _scaled_model(model, settings).bank(scenario.sensor), known
     raise NoSuchRung("no pretrained model has learned from this target")
+
+
+def _scaled_model(model: IntentModel, settings: Settings) -> IntentModel:
+    """The same model where both factors are one."""
+    square, stay = settings.acceleration**2, settings.sojourn
+
+    def scaled(phase: Phase) -> Phase:
+        law = replace(
+            phase.law,
+            growth_noise=phase.law.growth_noise * square,
+            turn_noise=phase.law.turn_noise * square,
+            wobble=phase.law.wobble * square,
+        )
+        return replace(phase, law=law, duration=phase.duration * stay)
+
+    intents = tuple(
+        replace(intent, phases=tuple(map(scaled, intent.phases)), renewal=intent.renewal / stay)
+        for intent in model.intents
+    )
+    generator = tuple(tuple(rate / stay for rate in row) for row in model.generator)
+    return replace(model, intents=intents, generator=generator)
 
 
 def _prior(episodes: Episodes) -> Prior:
