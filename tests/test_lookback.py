@@ -7,6 +7,8 @@ import json
 
 import numpy as np
 import pytest
+from straight_source import Straight
+from test_adaptive_factor import torn
 from test_agent_policy import random_policy
 from test_beliefs import chain
 
@@ -157,6 +159,21 @@ def test_what_a_burst_began_with_is_taken_back():
     assert np.mean(scores[1] > scores[0]) > 0.55
 
 
+def test_a_new_episode_does_not_look_back_on_the_last():
+    source = Straight(sigma=2.0, steps=40, missed=0.5)
+    episodes = torn(source, 20)
+    task = AdaptiveFactorTask(source, 20, True, view="levels", covariance="mixture", lookback=True, lost_after=np.inf)
+    seen, live = [], np.ones(20, dtype=np.bool_)
+    for _ in range(2):
+        task.begin(np.arange(20), episodes)
+        first = [task.observe(np.zeros(20, dtype=np.int64))]
+        for k in range(20):  # half of them end where nothing is measured: there is something left to take back
+            task.step(task.check_actions(np.zeros((20, 1)), "step"), np.full(20, k), live)
+            first.append(task.observe(np.full(20, k + 1)))
+        seen.append(np.array(first))
+    np.testing.assert_array_equal(seen[0], seen[1])
+
+
 def test_other_sensors_and_wild_numbers_do_it_no_harm():
     for kind, size in (("range-bearing", 2), ("range-bearing-elevation", 3), ("range-bearing-rate", 3)):
         rng = np.random.default_rng(0)
@@ -176,8 +193,6 @@ def test_what_cannot_look_back_is_refused():
         dataclasses.replace(advice(True), covariance="chosen")
     with pytest.raises(ValueError, match="Policy: lookback must be True or False; got 1"):
         dataclasses.replace(advice(True), lookback=1)
-    from straight_source import Straight
-
     for options in ({"covariance": "chosen"}, {"covariance": "mixture", "loop_filter": "robust"}):
         with pytest.raises(ValueError, match="make: lookback must come with covariance mixture and the filter kf"):
             AdaptiveFactorTask(Straight(), 1, True, view="levels", lookback=True, **options)
