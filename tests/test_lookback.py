@@ -174,6 +174,20 @@ def test_a_new_episode_does_not_look_back_on_the_last():
     np.testing.assert_array_equal(seen[0], seen[1])
 
 
+def test_a_filter_that_begins_again_does_not_look_back():
+    z = np.random.default_rng(0).normal(size=(120, 2))
+    z[60:] += 2000.0
+    estimator = make_estimator("agent", position(2, 1.0), acceleration=1.0, policy=advice(True))
+    state, kept, far = estimator.start(z[0], 0.0), [], []
+    for t in range(1, 120):
+        state, estimate = estimator.step(state, z[t], 0.1 * t)
+        kept.append(state.nis_average[0, -1])  # components of the update that can be taken back
+        far.append(np.linalg.norm(estimate.position - 2000.0) > 100.0)
+    found = far[60:].index(False) + 60
+    assert not any(far[found:])
+    assert kept[found - 2 : found + 1] == [2.0, 0.0, 2.0]  # begun again in the row before
+
+
 def test_other_sensors_and_wild_numbers_do_it_no_harm():
     for kind, size in (("range-bearing", 2), ("range-bearing-elevation", 3), ("range-bearing-rate", 3)):
         rng = np.random.default_rng(0)
