@@ -108,8 +108,9 @@ def name_what_compiles(tell: Callable[[str], None]) -> Iterator[None]:
         name = ""
 
         def on_start(self, event: Any) -> None:
-            name = str((event.data or {}).get("qualname", "")).rpartition(".")[2]
-            if name and name != self.name:
+            what = event.data or {}
+            name = str(what.get("qualname", "")).rpartition(".")[2]
+            if name and name != self.name and not str(what.get("module", "")).startswith("numba."):
                 self.name = name
                 tell(name)
 
