@@ -360,13 +360,13 @@ class AdaptiveFactorTask:
 
     def info_alone(self, k: int) -> dict[str, Any]:
         """`info` of a single target, as plain numbers: one target is told in a fifth of the time."""
-        sample, mine = self._samples[0, k, : kernels.FIRST].tolist(), self._memory[0, : kernels.PLACE].tolist()
         A, place = self.source.axes, kernels.PLACE
+        sample, mine = self._samples[0, k, : kernels.FIRST + 2 * A].tolist(), self._memory[0, :place].tolist()
         return {
             "time": sample[kernels.TIME],
             "noise_scale": sample[kernels.SCALE],
             "intent": int(sample[kernels.INTENT]),
-            "detected": self._looks.item((0, looking.MISSED)) == 0.0,
+            "detected": not all(map(math.isnan, sample[kernels.FIRST + A :])),
             "nis": self._looks.item((0, looking.NIS)),
             "error_agent": mine[kernels.ERROR_AGENT],
             "error_nominal": mine[kernels.ERROR_NOMINAL],

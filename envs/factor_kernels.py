@@ -18,7 +18,6 @@ from jink.estimators.agent.looking import (
     BELIEF,
     DRIFT,
     LEVELS_SIZE,
-    MISSED,
     NIS,
     PLAIN_VIEW,
     begin_memory,
@@ -363,7 +362,7 @@ def tell_rows(
     for row in range(at.shape[0]):
         sample, mine = samples[row, at[row]], memory[row]
         time[row], scale[row], intent[row] = sample[TIME], sample[SCALE], int(sample[INTENT])
-        detected[row], nis[row] = looks[row, MISSED] == 0.0, looks[row, NIS]
+        detected[row], nis[row] = _count(sample[FIRST + A : FIRST + 2 * A], A) > 0, looks[row, NIS]
         agent[row], nominal[row], oracle[row] = mine[ERROR_AGENT], mine[ERROR_NOMINAL], mine[ERROR_ORACLE]
         inflation[row] = mine[INFLATION]
         for a in range(A):

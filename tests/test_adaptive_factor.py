@@ -13,6 +13,7 @@ from straight_source import Straight
 from jink.envs import halves
 from jink.envs.adaptive_factor import LARGEST_LOG_INFLATION, AdaptiveFactorTask
 from jink.envs.cartesian import place_measurements
+from jink.envs.episodes import pick
 from jink.envs.loop_filter import robust
 from jink.envs.scenarios import make_scenario
 from jink.envs.streams import make_streams
@@ -420,3 +421,17 @@ def test_bad_options_are_answered_in_one_sentence(options, sentence):
 def test_impossible_actions_are_answered_in_one_sentence(continuous, actions, sentence):
     with pytest.raises(ValueError, match=sentence):
         AdaptiveFactorTask(HOSTILE, 2, continuous).check_actions(actions, "step")
+
+
+def test_a_first_sample_without_a_measurement_is_not_detected():
+    source = Straight(sigma=2.0, steps=20, missed=0.5)
+    episodes = torn(source, 30)
+    episodes.measurements[::3, 0] = np.nan
+    run = Played(source, episodes, lambda o, i, k: np.zeros(30, dtype=int), lost_after=np.inf)
+    there = np.isfinite(episodes.measurements).any(axis=2)
+    assert there[:, 0].any() and not there[:, 0].all()
+    np.testing.assert_array_equal(np.array([info["detected"] for info in run.infos]).T, there)
+    for b in range(5):
+        alone = Played(source, pick(episodes, np.array([b])), lambda o, i, k: np.zeros(1, dtype=int), lost_after=np.inf)
+        assert alone.task.info_alone(0)["detected"] == there[b, 0]
+        assert alone.task.info_alone(19)["detected"] == there[b, 19]
