@@ -6,6 +6,7 @@ work on the machine counts for neither, and wall time, where our second thread c
 learn as well as small ones: `agent_batches.py`.
 
 python benchmarks/training_speed.py
+python benchmarks/training_speed.py --no-lookback --from-nothing
 """
 
 from __future__ import annotations
@@ -65,12 +66,15 @@ def main() -> None:
     made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("--rounds", type=int, default=5)
     made.add_argument("--steps", type=int, default=131_072, help="of a round")
+    made.add_argument("--no-lookback", action="store_true", help="the filter does not judge its last measurement again")
+    made.add_argument("--from-nothing", action="store_true", help="begin without the advice: many tracks are lost")
     given = made.parse_args()
     torch.set_num_threads(1)
-    config = AgentConfig()
+    config = AgentConfig(lookback=not given.no_lookback)
     env = sb3.make_env(config)
     ours, ceiling = sb3.make_model(config, env), sb3.make_model(config, sb3.NativeVecEnv(Idle(env, env.num_envs)))
-    copy_first(config, ours)  # the default training begins with the advice: from nothing, tracks are lost all the time
+    if not given.from_nothing:
+        copy_first(config, ours)
     env.seed(1)
     for model in (ours, ceiling):
         model.learn(config.environments * config.horizon)
